@@ -14,24 +14,23 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import firmware_protocol
-import rig
 from firmware_protocol.faults import Fault, Input, LimitFlag
 from firmware_protocol.parameters import BY_NAME, encode_block
 from rig import config
 from rig.analysis.theory import Lifted, NotLinearError, k_max_curve, linear_loop
 from rig.config import Experiment, presets
 from rig.config.controller import prepare_controller
-from rig.control import judging
+from rig.control import judging, verdict
 from rig.core import board
 from rig.core.errors import RigError
-from rig.core.present import plain
-from rig.core.sample import COLUMNS, UNITS
+from rig.core.sample import COLUMNS, UNITS, Phase, RowFlag
+from rig.experiments.trials.judgement import THREW_OUT, THROWN_OUT
+from sim_backend.mechanics import driven_hand
 from sim_backend.mechanics.plant import DiscretePlant
 
 HERE = Path(__file__).parent
-CONSOLE = Path(rig.__file__).parent / "extras" / "console" / "page"
-FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
+CONSOLE = HERE.parents[1] / "rig" / "extras" / "console" / "page"
+FIRMWARE = HERE.parents[1] / "firmware_protocol" / "firmware"
 # Position and velocity rate (Hz); a rig's own come first.
 RATES = (*((rate, rate) for rate in (1000, 2000, 5000, 10000, 20000)), (10000, 1000), (20000, 2000))
 ESTIMATORS = ("fdm-butterworth", "fdm", "foaw-best", "foaw-end", "levant")  # of firmware and every rig
@@ -48,13 +47,13 @@ _EXPORT = re.compile(r"^export (?=(?:async )?(?:class|const|function) (\w+))", r
 
 def changes_of(preset: Experiment, rates: tuple[int, int], estimator: str) -> dict[str, Any]:
     """Return the changes of a rig's experiment for rates and estimator; Koul et al. scale a cut-off in this way."""
-    own, verdict = preset.controller, preset.verdict
+    own, judged = preset.controller, preset.verdict
     changes: dict[str, Any] = {"controller.loop": "device", "controller.estimator": estimator}
     changes |= {"controller.position_rate": rates[0], "controller.velocity_rate": rates[1]}
     if estimator == own.estimator and "cutoff_hz" in own.parameters:
         cutoff_hz = float(own.parameters["cutoff_hz"]) * rates[1] / own.velocity_rate
         changes["controller.parameters.cutoff_hz"] = cutoff_hz
-    if verdict.lowpass_hz > BAND * rates[0]:
+    if judged.lowpass_hz > BAND * rates[0]:
         changes["verdict.lowpass_hz"] = BAND * rates[0]
     return changes
 
@@ -63,14 +62,13 @@ def setup_of(experiment: Experiment) -> list[float]:
     """Return the numbers of `rig_setup` in rig.c."""
     model, rate = config.rig_model(experiment), experiment.controller.position_rate
     plant, amplifier, encoder = DiscretePlant.build(model, 1.0 / rate), model.amplifier, model.encoder
-    inputs = 0 if model.operator is None else int(Input.HOLD_TO_RUN)
     return [
         *(len(plant.phi), plant.gamma.shape[1] - 2, plant.delay_ticks, plant.handle_position, plant.effort),
         *(model.simulation.initial_position or 0.0, amplifier.effort_quantum),
         *(1.0 / amplifier.effort_per_ampere, amplifier.current_quantum_a),
         *(encoder.sign, board.over_current(model)),
         *(*asdict(board.moved_mechanics(model)).values(), *asdict(board.current_sensor(model)).values()),
-        *(rate, LIFETIME_US, inputs),
+        *(rate, LIFETIME_US, Input.HOLD_TO_RUN if model.operator else 0),
         *(*plant.parameters.tolist(), *plant.phi.ravel().tolist(), *plant.gamma.ravel().tolist()),
     ]
 
@@ -93,14 +91,13 @@ def _limits(experiment: Experiment, dampings: list[float]) -> list[float]:
 def _rig(preset: Experiment) -> dict[str, Any]:
     own, limits = preset.controller, preset.rig.limits
     dragged: dict[str, Any] = {"trial.kind": "human", "trial.duration_s": 3600.0}
-    dragged |= {"trial.minimum_rest_counts": 0.0, "rig.limits.human": True}
-    dragged |= {"operator.press": 0.1}  # the page sends its own press
+    dragged |= {"trial.minimum_rest_counts": 0.0, "rig.simulation.initial_position": preset.trial.start}
+    dragged |= {"rig.limits.human": True, "operator.press": 0.1}  # the page sends its own press
     dragged |= {"rig.limits.effort": min(limits.effort, limits.nominal_effort)}
     dragged |= {"rig.limits.thermal_time_constant_s": 8000.0}  # no winding here heats up
     kinds: dict[str, dict[str, Any]] = {"hit": {}, "play": dragged}
     most = MOST_DAMPING * (preset.wall.damping or preset.homing.damping)
-    parts = ("changes", "blocks", "setups", "meters", "limits")
-    table: dict[str, dict[str, Any]] = {name: {} for name in parts}
+    table: dict[str, Any] = {part: {} for part in ("changes", "blocks", "setups", "meters", "limits")}
     dampings = [most * i / (DAMPINGS - 1) for i in range(DAMPINGS)]
     for rates in dict.fromkeys(((own.position_rate, own.velocity_rate), *RATES)):
         for estimator in ESTIMATORS:
@@ -121,7 +118,7 @@ def _rig(preset: Experiment) -> dict[str, Any]:
         **table,
         "experiment": config.as_mapping(preset),
         "dampings": dampings,
-        "thresholds": plain(config.verdict_thresholds(preset)),
+        "thresholds": asdict(config.verdict_thresholds(preset)),
         "effort_quantum": config.rig_model(preset).amplifier.effort_quantum,
         "resolution": preset.rig.encoder.sign * preset.rig.encoder.resolution,
     }
@@ -136,7 +133,12 @@ def tables() -> dict[str, Any]:
         "units": UNITS,
         "estimators": ESTIMATORS,
         "faults": {int(fault): fault.text for fault in Fault},
+        "flags": dict(RowFlag.__members__),
+        "phases": [phase.name.lower() for phase in Phase],
         "warnings": int(LimitFlag.SPEED | LimitFlag.POSITION),
+        "toggles": verdict.TOGGLES,
+        "thrown_out": {"faults": [Fault[name] for name in THROWN_OUT], **THREW_OUT},
+        "hand": {name: value for name, value in vars(driven_hand).items() if name.isupper()},
         "wall": {BY_NAME[name].id: name for name in WALL},
         "layout": [re.findall(r"\b[A-Z_]+\b", names) for names in re.findall(r"(?s)enum \{(.*?)\}", header)],
     }
@@ -150,9 +152,7 @@ def compile_rig(module: Path) -> bytes:
     exports = [f"-Wl,--export={name}" for name in sorted(exported)]
     zig = [sys.executable, "-P", "-m", "ziglang", *COMPILE.split(), *exports]
     subprocess.run([*zig, "-o", str(module), *sorted(map(str, sources))], check=True)
-    code = module.read_bytes()
-    module.unlink()
-    return code
+    return module.read_bytes()
 
 
 def _bundle(module: Path, done: dict[Path, str]) -> None:
@@ -169,16 +169,16 @@ def _bundle(module: Path, done: dict[Path, str]) -> None:
 def build(directory: Path) -> None:
     """Write the page into a directory."""
     directory.mkdir(parents=True, exist_ok=True)
-    code = base64.b64encode(compile_rig(directory / "rig.wasm")).decode()
+    code = base64.b64encode(compile_rig(directory / "wall.js")).decode()
+    (directory / "wall.js").unlink()  # executable, as the compiler leaves it
     data = json.dumps({"module": code, "tables": tables()}, separators=(",", ":"))
     scripts: dict[Path, str] = {}
     _bundle(HERE / "page" / "main.js", scripts)
     begin = f'"use strict";\nglobalThis.wallData = {data};\nconst modules = {{}};\n'
     (directory / "wall.js").write_text(begin + "".join(scripts.values()), encoding="utf-8")
-    for name in ("style.css", "uPlot.min.css", "uPlot.iife.min.js", "uPlot.LICENSE", "icon.svg"):
-        shutil.copyfile(CONSOLE / name, directory / name)
-    for name in ("index.html", "wall.css"):
-        shutil.copyfile(HERE / "page" / name, directory / name)
+    shown = [*CONSOLE.glob("uPlot*"), CONSOLE / "style.css", CONSOLE / "icon.svg"]
+    for source in (*shown, HERE / "page" / "index.html", HERE / "page" / "wall.css"):
+        shutil.copy(source, directory)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-/* The numbers of a verdict: rig.control._measure and _median in C, with the same operations in the same order. A page has no
- * late ticks and loses no samples, so the numbers about these are missing. */
+/* The numbers that decide the verdict of a hit: rig.control._measure and _median in C. A page has no late ticks, loses no
+ * samples and lets no person hit, so the numbers about these are missing. tests/sim_backend/test_browser.py compares the
+ * others with Python's. */
 #include <math.h>
 
 #include "rig.h"
@@ -8,7 +9,7 @@ enum { /* of rig_meter, whose first nine are those of rig.control._measure.SETTI
     TICK_S, RESOLUTION, FELT_VELOCITY, HIGHPASS_HZ, LOWPASS_HZ, TAIL_TICKS, LEAD_TICKS, PAD_TICKS, IMPACT_TICKS, SECTIONS
 };
 enum { HIGHPASS, BAND, COEFFICIENTS = 5 };
-enum { FEWEST_TICKS = 8, IMPACT_LEAST = 4 };
+enum { FEWEST_TICKS = 8 };
 static const double slow_share = 0.8, same_side = 0.05;
 
 double rig_signals[4 * RIG_ROWS], rig_meter[SECTIONS + 3 * COEFFICIENTS], rig_numbers[RIG_NUMBERS];
@@ -34,55 +35,38 @@ static int tail_of(int ticks)
     return largest(0, ticks - (int)s[TAIL_TICKS]);
 }
 
-/* First contact, exits, stay in the wall and peaks; returns the tick of the last exit. */
-static int measure_contact(int ticks)
+/* First contact, and exits and stay in the tail; returns the greatest penetration. */
+static double measure_contact(int ticks)
 {
     const int begin = tail_of(ticks);
-    int contact = -1, exits = 0, exits_in_tail = 0, inside_in_tail = 0, entries_in_tail = 0, entered = 0, left_at = 0;
-    int stay = 0, was_inside = 0;
-    double deepest = penetration[0], strongest = 0.0;
+    int contact = -1, exits_in_tail = 0, inside_in_tail = 0, was_inside = 0;
+    double deepest = penetration[0];
     for (int k = 0; k < ticks; k++) {
-        const int inside = penetration[k] > 0.0, in_tail = k >= begin, left = was_inside && !inside;
+        const int inside = penetration[k] > 0.0, in_tail = k >= begin;
         if (inside && contact < 0)
             contact = k;
-        if (inside && !was_inside) {
-            entered = k;
-            entries_in_tail += in_tail;
-        }
-        if (left) {
-            left_at = k;
-            stay = k - entered;
-        }
-        exits += left;
-        exits_in_tail += left && in_tail;
+        exits_in_tail += was_inside && !inside && in_tail;
         inside_in_tail += inside && in_tail;
         was_inside = inside;
         deepest = penetration[k] > deepest ? penetration[k] : deepest;
-        strongest = fabs(effort[k]) > strongest ? fabs(effort[k]) : strongest;
     }
-    const int once = entries_in_tail == 0 && (exits_in_tail == 1 || inside_in_tail == 0);
-    n[EXITS] = exits, n[EXITS_IN_TAIL] = exits_in_tail, n[INSIDE_TICKS_IN_TAIL] = inside_in_tail;
-    n[STAY_TICKS] = once && stay * s[TICK_S] * s[HIGHPASS_HZ] >= 1.0 ? stay : 0;
+    n[EXITS_IN_TAIL] = exits_in_tail, n[INSIDE_TICKS_IN_TAIL] = inside_in_tail;
     n[CONTACT_S] = contact >= 0 ? contact * s[TICK_S] : NAN;
-    n[PEAK_PENETRATION] = deepest, n[PEAK_EFFORT] = strongest;
-    return left_at;
+    return deepest;
 }
 
 static void count_marks(int ticks)
 {
     const int begin = tail_of(ticks);
-    int saturated = 0, before = 0, slew_bound = 0, overruled = 0;
+    int saturated_in_tail = 0, slew_bound = 0, overruled = 0;
     for (int k = 0; k < ticks; k++) {
         const int marks = (int)flags[k];
-        if (k == begin)
-            before = saturated;
-        saturated += (marks & RIG_SATURATED) != 0;
+        saturated_in_tail += k >= begin && (marks & RIG_SATURATED) != 0;
         slew_bound += (marks & RIG_SLEW_BOUND) != 0;
         overruled += (marks & RIG_OVERRULED) != 0;
     }
     n[TICKS] = ticks, n[TAIL_BEGINS_S] = begin * s[TICK_S];
-    n[SATURATED_FRACTION] = (double)saturated / ticks;
-    n[SATURATED_FRACTION_IN_TAIL] = (double)(saturated - before) / (ticks - begin);
+    n[SATURATED_FRACTION_IN_TAIL] = (double)saturated_in_tail / (ticks - begin);
     n[SLEW_BOUND_TICKS] = slew_bound, n[OVERRULED_TICKS] = overruled;
 }
 
@@ -146,9 +130,6 @@ static void measure_ripple_and_travel(int ticks)
     const double *section = s + SECTIONS + HIGHPASS * COEFFICIENTS;
     double of_effort[2] = {0.0, 0.0}, of_position[2] = {0.0, 0.0};
     double power = 0.0, power_of_half = 0.0, lowest = 0.0, highest = 0.0;
-    int calm = 0;
-    if (n[INSIDE_TICKS_IN_TAIL] > 0 && n[STAY_TICKS] > 0)
-        calm = begin + (int)n[INSIDE_TICKS_IN_TAIL] - (int)rint(1.0 / (s[HIGHPASS_HZ] * s[TICK_S]));
     for (int k = first; k < ticks; k++) {
         const double ripple = pass(section, of_effort, effort[k] - effort[first]);
         const double travelled = pass(section, of_position, position[k] - position[first]);
@@ -161,10 +142,6 @@ static void measure_ripple_and_travel(int ticks)
         power += ripple * ripple;
         lowest = travelled < lowest ? travelled : lowest;
         highest = travelled > highest ? travelled : highest;
-        if (k == calm - 1) {
-            n[HEARD_IN_STAY] = sqrt((power_of_half + power) / (calm - begin));
-            n[MOVED_IN_STAY] = fmax(0.0, highest - lowest - s[RESOLUTION]);
-        }
     }
     n[HEARD] = sqrt((power_of_half + power) / (ticks - begin));
     n[GROWTH] = power_of_half > 0.0 ? sqrt(power / (ticks - half) / (power_of_half / (half - begin))) : 0.0;
@@ -204,82 +181,70 @@ static double measure_felt(int ticks)
     return sqrt(power / (ticks - begin));
 }
 
-static double end_slope(int first, int last)
+/* Move values below the pivot, and equal ones if `equal`, to the front; returns the index after them. */
+static int partition(double *values, int low, int high, double pivot, int equal)
 {
-    const double count = last - first + 1.0, half = 0.5 * (last - first), mean_square = (count * count - 1.0) / 12.0;
-    double slope = 0.0, bend = 0.0;
-    for (int k = first; k <= last; k++) {
-        const double u = k - first - half, travel = position[k] - position[last];
-        slope += u * travel;
-        bend += (u * u - mean_square) * travel;
+    int front = low;
+    for (int i = low; i < high; i++) {
+        const double value = values[i];
+        values[i] = values[front];
+        values[front] = value;
+        front += value < pivot || (equal && value == pivot);
     }
-    slope /= count * mean_square;
-    bend /= count * mean_square * (count * count - 4.0) / 15.0;
-    return slope + 2.0 * half * bend;
+    return front;
 }
 
-/* Hoare's selection; changes the order of the values. */
-static double select_rank(double *values, int count, int rank)
-{
-    int low = 0, high = count - 1;
-    while (low < high) {
-        const double pivot = values[low + (high - low) / 2];
-        int i = low, j = high;
-        while (i <= j) {
-            while (values[i] < pivot)
-                i++;
-            while (values[j] > pivot)
-                j--;
-            if (i <= j) {
-                const double value = values[i];
-                values[i++] = values[j];
-                values[j--] = value;
-            }
-        }
-        if (rank <= j)
-            high = j;
-        else if (rank >= i)
-            low = i;
-        else
-            break;
-    }
-    return values[rank];
-}
-
+/* Hoare's selection, which changes the order of the values. */
 static double median(double *values, int count)
 {
-    const double upper = select_rank(values, count, count / 2);
-    return count % 2 ? upper : 0.5 * (select_rank(values, count, count / 2 - 1) + upper);
+    const int middle = count / 2;
+    int low = 0, high = count;
+    unsigned draw = 1;
+    while (high - low > 1) {
+        /* A pivot from random values: with fixed ones a regular oscillation would make the time quadratic. */
+        double a = values[low], b = a, c = a;
+        for (int i = 0; i < 3; i++) {
+            draw = (draw * 1103515245u + 12345u) & 0x7fffffffu;
+            a = b, b = c, c = values[low + (int)(draw >> 8) % (high - low)];
+        }
+        const double pivot = fmax(fmin(a, b), fmin(fmax(a, b), c));
+        const int below = partition(values, low, high, pivot, 0);
+        if (middle < below) {
+            high = below;
+            continue;
+        }
+        const int upto = partition(values, below, high, pivot, 1);
+        if (middle < upto || upto == low)
+            break;
+        low = upto;
+    }
+    if (count % 2)
+        return values[middle];
+    double lower = values[0];
+    for (int i = 1; i < middle; i++)
+        lower = values[i] > lower ? values[i] : lower;
+    return 0.5 * (lower + values[middle]);
 }
 
-static void measure_rest_and_impact(int ticks)
+/* How long the penetration settles within the tail. */
+static double settling_in_tail_s(int ticks, double deepest)
 {
-    const int begin = tail_of(ticks);
+    const int begin = tail_of(ticks), contact = (int)rint(n[CONTACT_S] / s[TICK_S]);
+    const double band = fmax(2.0 * s[RESOLUTION], same_side * deepest);
     for (int k = begin; k < ticks; k++)
         scratch[k - begin] = penetration[k];
     const double resting = median(scratch, ticks - begin);
-    n[RESTING_PENETRATION] = resting, n[SETTLING_S] = n[IMPACT_VELOCITY] = NAN, n[SETTLING_IN_TAIL_S] = 0.0;
-    if (isnan(n[CONTACT_S]))
-        return;
-    const int contact = (int)rint(n[CONTACT_S] / s[TICK_S]);
-    const double band = fmax(2.0 * s[RESOLUTION], same_side * n[PEAK_PENETRATION]);
     int settled = ticks;
     while (settled > contact && !(fabs(penetration[settled - 1] - resting) > band))
         settled--;
-    if (settled <= (begin + ticks) / 2) {
-        n[SETTLING_S] = (settled - contact) * s[TICK_S];
-        n[SETTLING_IN_TAIL_S] = largest(0, settled - begin) * s[TICK_S];
-    }
-    const int span = smallest(contact, (int)s[IMPACT_TICKS]);
-    if (span >= IMPACT_LEAST)
-        n[IMPACT_VELOCITY] = end_slope(contact - span, contact) / s[TICK_S];
+    return settled <= (begin + ticks) / 2 ? largest(0, settled - begin) * s[TICK_S] : 0.0;
 }
 
 static void write_nothing(int ticks)
 {
     for (int i = 0; i < RIG_NUMBERS; i++)
         n[i] = 0.0;
-    n[FELT] = n[CONTACT_S] = n[IMPACT_VELOCITY] = n[SETTLING_S] = n[TAIL_BEGINS_S] = NAN;
+    n[FELT] = n[CONTACT_S] = n[TAIL_BEGINS_S] = NAN;
     n[TICKS] = ticks;
 }
 
@@ -288,18 +253,13 @@ void rig_measure(int ticks)
     write_nothing(ticks);
     if (ticks < FEWEST_TICKS)
         return;
-    const int left_at = measure_contact(ticks);
+    const double deepest = measure_contact(ticks);
     count_marks(ticks);
-    if (n[STAY_TICKS] > 0 && n[INSIDE_TICKS_IN_TAIL] == 0) {
-        n[INSIDE_TICKS_IN_TAIL] = smallest(left_at, (int)s[TAIL_TICKS]);
-        measure_ripple_and_travel(left_at);
-        n[INSIDE_TICKS_IN_TAIL] = 0;
-    }
     measure_ripple_and_travel(ticks);
     if (isnan(n[CONTACT_S]))
         n[TOGGLES] = count_toggles(ticks);
-    n[FELT_FLOOR] = toggling_floor(toggling_hz(ticks));
-    if (n[FELT_FLOOR] <= s[FELT_VELOCITY])
+    else
+        n[SETTLING_IN_TAIL_S] = settling_in_tail_s(ticks, deepest);
+    if (toggling_floor(toggling_hz(ticks)) <= s[FELT_VELOCITY])
         n[FELT] = measure_felt(ticks);
-    measure_rest_and_impact(ticks);
 }

@@ -116,21 +116,19 @@ int rig_change(int bytes)
     struct candidate candidate;
     const struct configuration *active = &host.device.configuration;
     struct refusal refusal = configuration_read(active, &host.board, rig_block, (size_t)bytes, &candidate);
-    waiting = host.device.renderer.parameters;
+    law_parameters wall = host.device.renderer.parameters;
     if (refusal.status == HR_STATUS_OK)
-        refusal = law_settings_read_wall(candidate.values, &host.hal, &waiting);
-    waits = refusal.status == HR_STATUS_OK;
+        refusal = law_settings_read_wall(candidate.values, &host.hal, &wall);
+    if (refusal.status == HR_STATUS_OK) { /* else the wall that waits already still becomes active */
+        waiting = wall;
+        waits = true;
+    }
     return refused(refusal);
 }
 
 int rig_most_rows(void)
 {
     return RIG_ROWS;
-}
-
-int rig_most_script_rows(void)
-{
-    return RIG_SCRIPT_ROWS;
 }
 
 int rig_waits(void)

@@ -25,20 +25,17 @@ int rig_run(int ticks, int script_rows);
 int rig_change(int bytes);
 int rig_waits(void);
 
-/* Return the size of `rig_rows` and of `rig_script`. */
+/* Return the size of `rig_rows`. */
 int rig_most_rows(void);
-int rig_most_script_rows(void);
 
 /* Return the latched fault (enum hr_fault). */
 int rig_fault(void);
 
-enum { /* of rig_numbers: the fields of rig.control._measure.NUMBERS that a page needs */
-    FELT, FELT_FLOOR, HEARD, MOVED, GROWTH, EXITS_IN_TAIL, EXITS, CONTACT_S, IMPACT_VELOCITY, PEAK_PENETRATION,
-    RESTING_PENETRATION, SETTLING_S, PEAK_EFFORT, SATURATED_FRACTION, SATURATED_FRACTION_IN_TAIL, TICKS, SLEW_BOUND_TICKS,
-    OVERRULED_TICKS, INSIDE_TICKS_IN_TAIL, TOGGLES, STAY_TICKS, HEARD_IN_STAY, MOVED_IN_STAY, TAIL_BEGINS_S,
-    SETTLING_IN_TAIL_S, RIG_NUMBERS
+enum { /* of rig_numbers: the fields of rig.control._measure.NUMBERS that decide the verdict of a page's hit */
+    FELT, HEARD, MOVED, GROWTH, EXITS_IN_TAIL, CONTACT_S, SATURATED_FRACTION_IN_TAIL, TICKS, SLEW_BOUND_TICKS,
+    OVERRULED_TICKS, INSIDE_TICKS_IN_TAIL, TOGGLES, TAIL_BEGINS_S, SETTLING_IN_TAIL_S, RIG_NUMBERS
 };
-enum { RIG_SATURATED = 1, RIG_SLEW_BOUND = 2, RIG_OVERRULED = 4 }; /* marks of a tick */
+enum { RIG_SATURATED = 1, RIG_SLEW_BOUND = 2, RIG_OVERRULED = 4 }; /* marks of a tick, a bit each in turn */
 
 /* Measure a trial from four rows of RIG_ROWS signals: position, effort, penetration, marks. `rig_meter` has the settings and
  * the filters of rig.control._measure. */

@@ -15,7 +15,8 @@ const { module, tables } = JSON.parse(readFileSync(`${directory}/wall.js`, "utf8
 const code = Buffer.from(module, "base64");
 console.log(`page ${bytes} bytes (at most ${MOST_BYTES}), of these the module ${code.length}`);
 
-const rig = new Rig(await Module.of(code, tables.layout), await Module.of(code, tables.layout), tables);
+const compiled = await WebAssembly.compile(code);
+const rig = new Rig(await Module.of(compiled, tables.layout), await Module.of(compiled, tables.layout), tables);
 let worst = 0;
 for (const name of Object.keys(tables.rigs)) {
   const { position_rate: rate } = tables.rigs[name].experiment.controller;

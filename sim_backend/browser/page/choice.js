@@ -1,7 +1,5 @@
 // A wall on a rig: what the fragment of a page's address, a parameter block and a command line say about it.
 
-const AT_POSITION = 5; // in rig_setup
-
 // The wall of a rig's own experiment, or with changes by dotted key; throws an error for rates that have no table.
 export function chosen(tables, rig, changes = {}) {
   const table = tables.rigs[rig];
@@ -118,7 +116,5 @@ export function blockOf(one, kind, live = false) {
 }
 
 export function setupOf(one, kind) {
-  const setup = Float64Array.from(one.table.setups[`${kind}|${one.rates[0]}`]);
-  if (kind === "play") setup[AT_POSITION] = one.table.experiment.trial.start; // the hand is at the handle, and that at its start
-  return setup;
+  return Float64Array.from(one.table.setups[`${kind}|${one.rates[0]}`]);
 }

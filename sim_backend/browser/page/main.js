@@ -71,7 +71,8 @@ function sharing(rig) {
 
 async function begin({ module, tables }) {
   const bytes = Uint8Array.from(atob(module), (character) => character.charCodeAt(0));
-  const rig = new Rig(await Module.of(bytes, tables.layout), await Module.of(bytes, tables.layout), tables);
+  const compiled = await WebAssembly.compile(bytes);
+  const rig = new Rig(await Module.of(compiled, tables.layout), await Module.of(compiled, tables.layout), tables);
   rig.frames = (step) => requestAnimationFrame(step);
   stops(rig);
   rig.addEventListener("trouble", ({ detail }) => notice(detail));

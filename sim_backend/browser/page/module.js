@@ -1,20 +1,21 @@
 // The compiled rig: firmware and plant (rig.c), and the numbers of a verdict (measure.c).
 
 export class Module {
-  // `bytes` of the compiled module; `layout`: the names in the enumerations of rig.h, in its order.
-  static async of(bytes, layout) {
-    const { instance } = await WebAssembly.instantiate(bytes, {});
-    return new Module(instance.exports, layout);
+  // `compiled`: a WebAssembly.Module, of which each instance has memory of its own; `layout`: the names in the enumerations
+  // of rig.h, in its order.
+  static async of(compiled, layout) {
+    return new Module((await WebAssembly.instantiate(compiled, {})).exports, layout);
   }
 
-  constructor(exports, [columns, , numbers]) {
+  constructor(exports, [columns, , numbers, marks]) {
     this.c = exports;
     exports._initialize();
-    this.at = Object.fromEntries(columns.map((name, place) => [name.replace("RIG_", "").toLowerCase(), place]));
+    const named = (names, value) => Object.fromEntries(names.map((name, place) => [name.replace("RIG_", "").toLowerCase(), value(place)]));
+    this.at = named(columns, (place) => place);
+    this.mark = named(marks, (place) => 1 << place);
     this.columns = columns.length - 1; // the last names count
     this.numbers = numbers.slice(0, -1).map((name) => name.toLowerCase());
     this.mostRows = exports.rig_most_rows();
-    this.mostScript = exports.rig_most_script_rows();
   }
 
   #floats(global, length) {

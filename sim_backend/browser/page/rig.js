@@ -1,16 +1,13 @@
 // A rig in this page, in place of the console's server: the same requests and messages as link.js, with the same answers.
 
-import { blockOf, changesOf, chosen, commandOf, fragmentOf, keyOf, setupOf } from "./choice.js";
+import { blockOf, changesOf, chosen, fragmentOf, keyOf, setupOf } from "./choice.js";
 import { Hand } from "./hand.js";
 import { Rows, View } from "./rows.js";
-import { judge } from "./verdict.js";
+import { Trial } from "./verdict.js";
 
 const MOST_FRAME_S = 0.05; // simulated at once: a page that was hidden continues where it was
 const STATE_MS = 100;
 const MOTION_S = 0.002; // between two true states that are shown
-const PHASES = ["wait", "homing", "settle", "trial", "release", "done", "free"];
-const DONE = 5;
-const INSIDE = 1;
 
 export class Rig extends EventTarget {
   // `module` runs what is drawn, `other` whole hits beside it.
@@ -84,7 +81,7 @@ export class Rig extends EventTarget {
     this.last = { rig, changes };
     begin(this.module, one, job);
     this.began++;
-    this.run = { job, one, hand: job === "play" ? new Hand(one) : null, kept: [], set: 0, sets: 0, ticks: 0, owed: 0, state: 0 };
+    this.run = { job, one, hand: job === "play" ? new Hand(one) : null, trial: new Trial(), set: 0, sets: 0, ticks: 0, owed: 0, state: 0 };
     this.rows = new Rows(this.names, one.rates[0]);
     this.view = this.shown && new View(this.rows, this.shown);
     this.#sendJob(job, { say: "started" });
@@ -116,11 +113,11 @@ export class Rig extends EventTarget {
   #advance(ticks) {
     const { run, module } = this;
     const rows = module.run(ticks, run.hand ? run.hand.next(ticks) : undefined);
-    if (run.job === "hit") run.kept.push(rows.slice());
+    if (run.job === "hit") run.trial.add(rows, run.one, module);
     this.#take(rows);
     if (run.sets && !module.waits) run.set = run.sets;
-    if (module.fault) this.#end(`device fault: ${this.tables.faults[module.fault] ?? module.fault}`, true);
-    else if (run.phase === DONE) this.#end("finished");
+    if (module.fault) this.#end(`device fault: ${this.tables.faults[module.fault] ?? module.fault}`, module.fault);
+    else if (run.phase === this.tables.phases.indexOf("done")) this.#end("finished");
   }
 
   #take(rows) {
@@ -141,7 +138,7 @@ export class Rig extends EventTarget {
     }
     const last = rows.length - columns;
     run.phase = rows[last + at.phase];
-    run.inside = (rows[last + at.flags] & INSIDE) !== 0;
+    run.inside = (rows[last + at.flags] & this.tables.flags.INSIDE) !== 0;
     this.#sendFrame();
     if (motions.length) this.#send("hand", { motions });
   }
@@ -151,27 +148,27 @@ export class Rig extends EventTarget {
     if (frame) this.#send("frame", frame);
   }
 
-  #end(reason, failed = false) {
+  #end(reason, fault = 0) {
     const { run } = this;
     this.run = null;
     this.ended = reason;
     const { job, one } = run;
     if (job === "hit" && reason !== "stopped") {
-      const rows = new Float64Array(run.kept.reduce((sum, part) => sum + part.length, 0));
-      run.kept.reduce((place, part) => (rows.set(part, place), place + part.length), 0);
-      this.#sendJob(job, { say: "done", result: [{ ...one, verdict: judge(this.module, one, rows, failed ? reason : ""), recording: "" }] });
+      this.#sendJob(job, { say: "done", result: [{ ...one, verdict: run.trial.judge(this.module, one, fault), recording: "" }] });
     }
     this.#sendJob(job, { say: "ended" });
     this.#sendState(run);
   }
 
-  // A whole hit at once, without drawing it.
+  // A whole hit at once, without drawing it; its rows are overwritten by the next one.
   hit(rig, changes) {
     const one = chosen(this.tables, rig, changes);
     begin(this.other, one, "hit");
-    const rows = this.other.run(this.other.mostRows).slice();
-    const fault = this.other.fault;
-    return { one, rows, fault, command: commandOf(one), ...judge(this.other, one, rows, fault ? this.tables.faults[fault] : "") };
+    const rows = this.other.run(this.other.mostRows);
+    const { fault } = this.other;
+    const trial = new Trial();
+    trial.add(rows, one, this.other);
+    return { one, rows, fault, ...trial.judge(this.other, one, fault) };
   }
 
   // The largest stable stiffness by linear theory, and what that covers; null where theory has no model.
@@ -222,7 +219,7 @@ export class Rig extends EventTarget {
 
   #sendState(ended = null) {
     const run = ended ?? this.run;
-    const loop = { phase: PHASES[run.phase ?? 0], inside: run.inside ?? false, set: run.set, ended: ended && this.ended, counters: { lost: 0, skipped: 0 }, fault: "none" };
+    const loop = { phase: this.tables.phases[run.phase ?? 0], inside: run.inside ?? false, set: run.set, ended: ended && this.ended, counters: { lost: 0, skipped: 0 }, fault: "none" };
     this.#send("state", { loop, operates: true, operated: true, job: !ended && run.job === "hit" ? "hit" : null, blinded: false });
   }
 }

@@ -1,28 +1,41 @@
-// The verdict of a hit from its numbers: rig.control.verdict. A page loses no samples and has no late ticks.
+// The verdict of a hit: rig.control.verdict, and rig.experiments.trials.judgement for a run that ended early. A page loses
+// no samples and has no late ticks.
 
-import { written } from "../../../rig/extras/console/page/dom.js";
+// A half goes to the even neighbour, as in Python: JavaScript rounds it up.
+function halfToEven(value, digits) {
+  const exact = value.toExponential(60).split("e")[0].replace(".", "");
+  return /^50*$/.test(exact.slice(digits)) && exact[digits - 1] % 2 === 0 ? value * (1 - 2 ** -40) : value;
+}
 
-const TOGGLES = 64;
-const SATURATED = 4;
-const SLEW_BOUND = 8;
-const OUT_OF_WINDOW = 256;
+// Python's formats .2g and .3g. A number that is missing is in no reason.
+function general(number, digits) {
+  if (!Number.isFinite(number)) return "missing";
+  const value = halfToEven(number, digits);
+  const [mantissa, exponent] = value.toExponential(digits - 1).split("e");
+  if (exponent >= -4 && exponent < digits) return String(Number(value.toPrecision(digits)));
+  return `${Number(mantissa)}e${exponent[0]}${exponent.slice(1).padStart(2, "0")}`;
+}
 
-const three = (value) => written(value, 3);
+function percent(share) {
+  const value = 100 * share;
+  return `${share >= 0.1 ? halfToEven(value, value < 100 ? 2 : 3).toFixed(0) : general(value, 2)} %`;
+}
+
+const three = (value) => general(value, 3);
 const times = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
-const percent = (share) => `${100 * share >= 10 ? Math.round(100 * share) : written(100 * share, 2)} %`;
 
-// Kind and reasons of a trial, from its numbers and the thresholds of its experiment.
-export function decide(n, limits, thrownOut = false) {
+// Kind and reasons of a trial, from its numbers and the thresholds of its experiment; `mostToggles` of a count in order.
+export function decide(n, limits, mostToggles) {
   const touched = n.contact_s >= 0;
   const felt = n.felt > limits.felt_velocity, heard = n.heard > limits.heard_effort, moved = n.moved > limits.moved;
   const exceeded = felt || heard || moved;
   const saturates = n.saturated_fraction_in_tail > limits.saturated_fraction;
   const exits = n.exits_in_tail > 0;
   const found = (list) => list.filter(([applies]) => applies).map(([, text]) => text);
-  if (!(n.tail_begins_s >= 0)) return { kind: thrownOut && touched ? "unstable" : "invalid", reasons: [`only ${n.ticks} ticks in the trial`] };
+  if (!(n.tail_begins_s >= 0)) return { kind: "invalid", reasons: [`only ${n.ticks} ticks in the trial`] };
   const invalid = found([
-    [!touched, n.toggles < TOGGLES ? "the wall was never touched"
-      : `the wall was never touched, and the count changed ${n.toggles} times between two neighbours`],
+    [!touched, n.toggles < mostToggles ? "the wall was never touched"
+      : `the wall was never touched, and the count changed ${n.toggles} times between two neighbours: if the handle moved, one channel of the encoder is dead`],
     [touched && n.inside_ticks_in_tail === 0, "the wall was not touched in the tail"],
     [n.inside_ticks_in_tail > 0 && n.contact_s > n.tail_begins_s, "the first contact lies in the tail"],
     [n.slew_bound_ticks > 0, `the slew limit acted in ${times(n.slew_bound_ticks, "tick")}`],
@@ -30,6 +43,7 @@ export function decide(n, limits, thrownOut = false) {
     [saturates && !exceeded, "saturated in the tail without ripple or motion"],
     [n.settling_in_tail_s > 0 && (exits || exceeded), `still settling when the tail began, ${three(n.settling_in_tail_s)} s too early: lengthen the trial`],
   ]);
+  if (invalid.length) return { kind: "invalid", reasons: invalid };
   const ripples = found([
     [felt, `felt ${three(n.felt)} above ${three(limits.felt_velocity)}`],
     [heard, `heard ${three(n.heard)} above ${three(limits.heard_effort)}`],
@@ -40,29 +54,49 @@ export function decide(n, limits, thrownOut = false) {
     [n.growth > limits.growth && exceeded, `ripple grows ${three(n.growth)}-fold over the tail`],
     [saturates && exceeded, `saturates in ${percent(n.saturated_fraction_in_tail)} of the tail`],
   ]);
-  if (thrownOut) return { kind: touched ? "unstable" : "invalid", reasons: ["a guard ended the run", ...unstable, ...ripples] };
-  if (invalid.length) return { kind: "invalid", reasons: invalid };
   if (unstable.length) return { kind: "unstable", reasons: [...unstable, ...ripples] };
   return { kind: ripples.length ? "limit cycle" : "stable", reasons: ripples };
 }
 
-// The verdict of a hit from its rows, with the numbers of it; `fault`: what the device reported, if it did.
-export function judge(module, one, rows, fault = "") {
-  const { at, columns } = module;
-  const { table: { resolution, effort_quantum: quantum, experiment: { wall }, meters, thresholds }, position: surface, rates } = one;
-  const signals = [[], [], [], []];
-  let thrownOut = false;
-  for (let row = 0; row < rows.length; row += columns) {
-    if (rows[row + at.flags] & OUT_OF_WINDOW) thrownOut = true;
-    if (rows[row + at.phase] !== 3) continue;
-    const position = resolution * rows[row + at.count];
-    const flags = rows[row + at.flags];
-    signals[0].push(position);
-    signals[1].push(rows[row + at.current] * quantum);
-    signals[2].push(wall.side * (position - surface));
-    signals[3].push((flags & SATURATED ? 1 : 0) + (flags & SLEW_BOUND ? 2 : 0) + (rows[row + at.limits] & ~one.tables.warnings ? 4 : 0));
+// Kind and reason if the run ended before the push did; else null. `last`: flags of the last tick.
+export function endedEarly({ fault, last, released, touched }, { flags, thrown_out: thrownOut }) {
+  const left = (last & flags.OUT_OF_WINDOW) !== 0, lost = (last & flags.HOMING_FAILED) !== 0;
+  if (released || !(fault || left || lost)) return null;
+  if (touched && (fault ? thrownOut.faults.includes(fault) : left)) return { kind: "unstable", reason: thrownOut.out_of_window };
+  return { kind: "invalid", reason: `the run ended early: ${fault ? "fault" : left ? "out of window" : "homing failed"}` };
+}
+
+// The signals of a hit, which grow with its rows.
+export class Trial {
+  constructor() {
+    this.signals = [[], [], [], []];
+    this.last = 0;
+    this.released = false;
   }
-  const numbers = module.measure(signals, meters[rates[0]]);
-  const { kind, reasons } = decide(numbers, thresholds, thrownOut || fault !== "");
-  return { kind, reasons, reason: [fault, ...reasons].filter(Boolean).join("; "), numbers };
+
+  add(rows, { tables, table: { resolution, effort_quantum: quantum, experiment: { wall } }, position: surface }, { at, columns, mark }) {
+    const { flags: { SATURATED, SLEW_BOUND }, phases } = tables;
+    const trial = phases.indexOf("trial"), release = phases.indexOf("release");
+    const [positions, efforts, penetrations, marks] = this.signals;
+    for (let row = 0; row < rows.length; row += columns) {
+      const phase = rows[row + at.phase];
+      const flags = this.last = rows[row + at.flags];
+      if (phase === release) this.released = true;
+      if (phase !== trial) continue;
+      const position = resolution * rows[row + at.count];
+      positions.push(position);
+      efforts.push(rows[row + at.current] * quantum);
+      penetrations.push(wall.side * (position - surface));
+      marks.push((flags & SATURATED && mark.saturated) + (flags & SLEW_BOUND && mark.slew_bound) + (rows[row + at.limits] & ~tables.warnings && mark.overruled));
+    }
+  }
+
+  // The verdict with its numbers; `fault`: what the device latched, 0 without one.
+  judge(module, { tables, table: { meters, thresholds }, rates }, fault) {
+    const numbers = module.measure(this.signals, meters[rates[0]]);
+    const found = decide(numbers, thresholds, tables.toggles);
+    const early = endedEarly({ fault, last: this.last, released: this.released, touched: this.signals[2].some((depth) => depth > 0) }, tables);
+    const { kind, reasons } = early ? { kind: early.kind, reasons: [early.reason, ...found.reasons] } : found;
+    return { kind, reasons, reason: [fault ? tables.faults[fault] : "", ...reasons].filter(Boolean).join("; "), numbers };
+  }
 }
