@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from sim_backend.browser.__main__ import build
 from tests.browser.conftest import SIZE
 from tests.browser.test_tablet import Finger
+from tests.sim_backend.test_browser import built_page
 
 SCREENS = {"desk": (SIZE, "light"), "phone": ({"width": 390, "height": 844}, "dark")}
 
@@ -15,9 +15,7 @@ SCREENS = {"desk": (SIZE, "light"), "phone": ({"width": 390, "height": 844}, "da
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The page as a file, which no server serves."""
-    pytest.importorskip("ziglang", reason="no compiler for WebAssembly: pip install 'haptic-rig[page]'")
-    build(place := tmp_path_factory.mktemp("wall"))
-    return (place / "index.html").as_uri()
+    return (built_page(tmp_path_factory) / "index.html").as_uri()
 
 
 @pytest.mark.smoke
@@ -44,9 +42,44 @@ def test_a_wall_is_pushed_judged_and_sent_without_a_server(address: str, open_pa
     page.get_by_role("button", name="Automatic hit").click()
     page.locator("#state", has_text="ended: finished").wait_for()
     assert verdict.inner_text() == page.locator(".panel:not(.share) .verdict").first.inner_text() == "stable"
-    for step in ("1 Uniform", "2 Dual-rate", "3 Compare"):
-        page.get_by_role("button", name=step).click()
+    page.get_by_text("To compare, first hit with: Uniform, 20 kHz; Dual-rate, 20 and 2 kHz.").wait_for()
+    steps = [page.get_by_role("button", name=name) for name in ("1 Uniform", "2 Dual-rate", "3 Compare")]
+    for step in steps[:2]:
+        assert steps[2].is_disabled()
+        step.click()
+        assert [one.is_disabled() for one in steps] == [True] * 3, "one series at a time"
+    steps[2].click()
     page.get_by_text("linear theory: stable up to").last.wait_for()
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    box = page.locator("#stop").bounding_box()
+    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    assert page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.id", middle) == "stop"
     assert all(url.startswith("file:") for url in requests)
     assert page.context.cookies() == []
+
+
+@pytest.mark.smoke
+def test_stop_ends_what_a_pointer_or_a_key_still_holds(address: str, open_page: Any) -> None:
+    page = open_page(address)
+    state, handle = page.locator("#state"), page.locator("canvas.handle")
+    page.get_by_role("button", name="Drag the handle").click()
+    page.locator("#state", has_text="trial").wait_for()
+    assert page.get_by_text("starting …").count() == 0
+    box = handle.bounding_box()
+    x, y = (lambda share: box["x"] + share * box["width"]), box["y"] + box["height"] / 2
+    page.mouse.move(x(0.3), y)
+    page.mouse.down()
+    page.mouse.move(x(0.4), y, steps=5)
+    page.keyboard.press("Escape")
+    page.mouse.move(x(0.6), y, steps=5)
+    page.wait_for_timeout(200)
+    assert state.inner_text() == "ended: stopped"
+    page.mouse.up()
+    handle.focus()
+    page.keyboard.down("ArrowRight")
+    page.locator("#state", has_text="trial").wait_for()
+    page.keyboard.press("Escape")
+    page.keyboard.down("ArrowRight")  # repeats, as a held key does
+    page.wait_for_timeout(200)
+    assert state.inner_text() == "ended: stopped"

@@ -4,6 +4,7 @@ import { make, setText, written } from "../../../rig/extras/console/page/dom.js"
 import { Handle } from "../../../rig/extras/console/page/handle.js";
 import { Scope } from "../../../rig/extras/console/page/scope.js";
 import { Sound } from "../../../rig/extras/console/page/sound.js";
+import { notice, offerStop } from "../../../rig/extras/console/page/stop.js";
 import { Wall } from "../../../rig/extras/console/page/wall.js";
 import { changesOf, chosen, commandOf, fragmentOf, ofFragment } from "./choice.js";
 import { Module } from "./module.js";
@@ -20,29 +21,8 @@ const PRESETS = [
   ["WoodenHaptics", "rig=woodenhaptics"],
 ];
 const HOME = "koul-compliant";
-const NOTICE_MS = 12000;
 const SETTLED_MS = 300;
 const $ = (id) => document.getElementById(id);
-
-let silence = 0;
-function notice(error) {
-  $("notice").textContent = error.message;
-  $("notice").hidden = false;
-  clearTimeout(silence);
-  silence = setTimeout(() => { $("notice").hidden = true; }, NOTICE_MS);
-}
-
-function stops(rig) {
-  $("stop").addEventListener("pointerdown", () => rig.stop());
-  $("stop").addEventListener("click", () => rig.stop());
-  addEventListener("keydown", (event) => {
-    const controls = "input, select, textarea, button, a, [role=slider], [contenteditable]";
-    const space = event.key === " " && !event.target.closest(controls);
-    if (event.key !== "Escape" && !space) return;
-    event.preventDefault();
-    rig.stop();
-  }, { capture: true });
-}
 
 // A wall in one place: how a push of the motor ends on it beside the limit of theory, the command that makes the same hit,
 // and a link.
@@ -74,7 +54,7 @@ async function begin({ module, tables }) {
   const compiled = await WebAssembly.compile(bytes);
   const rig = new Rig(await Module.of(compiled, tables.layout), await Module.of(compiled, tables.layout), tables);
   rig.frames = (step) => requestAnimationFrame(step);
-  stops(rig);
+  offerStop(() => rig.stop());
   rig.addEventListener("trouble", ({ detail }) => notice(detail));
   rig.addEventListener("state", ({ detail: { loop } }) => setText($("state"), loop.ended !== null ? `ended: ${loop.ended}` : `${loop.phase}${loop.inside ? ", inside the wall" : ""}`));
 
@@ -122,7 +102,6 @@ async function begin({ module, tables }) {
   addEventListener("hashchange", go);
   go();
   setText($("state"), "at rest");
-  globalThis.rigConsole = { scope, written, rig };
 }
 
 begin(globalThis.wallData).catch((error) => {

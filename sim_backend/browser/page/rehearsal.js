@@ -12,43 +12,65 @@ const SCHEMES = [
 ];
 
 export function rehearsal(rig) {
-  const found = SCHEMES.map(() => null);
+  const found = SCHEMES.map(() => []);
   const report = make("p", { className: "quiet", role: "status" });
+  const missing = make("p", { className: "quiet", id: "missing-series" });
   const place = make("div");
-  const conclude = make("button", { type: "button", textContent: "3 Compare", disabled: true, onclick: () => show(true) });
+  const compare = make("button", { type: "button", textContent: "3 Compare", "aria-describedby": missing.id, onclick: () => { report.textContent = comparison(); } });
   const buttons = SCHEMES.map(([name], i) => make("button", { type: "button", textContent: `${i + 1} ${name.split(",")[0]}`, onclick: () => run(i) }));
+
+  // One series at a time: two would write into one table, and the module runs one hit.
+  function enable(running) {
+    const open = SCHEMES.filter((_, i) => found[i].length < WALLS.length).map(([name]) => name);
+    for (const button of buttons) button.disabled = running;
+    compare.disabled = running || open.length > 0;
+    missing.textContent = running ? "The buttons wait for the end of this series." : open.length ? `To compare, first hit with: ${open.join("; ")}.` : "";
+  }
 
   async function run(scheme) {
     const [name, changes] = SCHEMES[scheme];
     found[scheme] = [];
-    for (const stiffness of WALLS) {
-      report.textContent = `${name}: hit on a wall of ${stiffness} N·m/rad …`;
-      await new Promise((resolve) => setTimeout(resolve)); // the page stays alive between two hits
-      const { kind, reasons, one } = rig.hit(RIG, { ...changes, "wall.stiffness": stiffness, "wall.damping": DAMPING, "trial.effort": EFFORT });
-      found[scheme].push({ stiffness, kind, reasons, one });
-      show(false);
+    enable(true);
+    try {
+      for (const stiffness of WALLS) {
+        report.textContent = `${name}: hit on a wall of ${stiffness} N·m/rad …`;
+        await new Promise((resolve) => setTimeout(resolve)); // the page stays alive between two hits
+        const { kind, reasons, one } = rig.hit(RIG, { ...changes, "wall.stiffness": stiffness, "wall.damping": DAMPING, "trial.effort": EFFORT });
+        found[scheme].push({ stiffness, kind, reasons, one });
+        show();
+      }
+      report.textContent = `${name}: ${WALLS.length} hits.`;
+    } catch (error) {
+      report.textContent = `${name}: ${error.message}`;
+    } finally {
+      enable(false);
     }
-    report.textContent = `${name}: ${WALLS.length} hits.`;
-    conclude.disabled = found.some((hits) => hits === null);
   }
 
-  function show(concluding) {
-    const cell = (hit) => make("td", {}, hit ? make("span", { className: "verdict", dataset: { kind: hit.kind }, title: hit.reasons.join("; "), textContent: hit.kind }) : "–");
+  function show() {
+    const cell = (hit) => make("td", {}, ...(hit ? [make("span", { className: "verdict", dataset: { kind: hit.kind }, textContent: hit.kind }),
+      ...(hit.reasons.length ? [make("span", { className: "quiet", textContent: ` ${hit.reasons.join("; ")}` })] : [])] : ["–"]));
     place.replaceChildren(make("table", { className: "ladder" },
       make("caption", { textContent: `${RIG}, B = ${DAMPING} N·m·s/rad, pushed with ${EFFORT} N·m` }),
       make("thead", {}, make("tr", {}, ...["K (N·m/rad)", ...SCHEMES.map(([name]) => name)].map((textContent) => make("th", { scope: "col", textContent })))),
-      make("tbody", {}, ...WALLS.map((stiffness, i) => make("tr", {}, make("td", { textContent: stiffness }), ...found.map((hits) => cell(hits?.[i])))))));
-    if (concluding) report.textContent = SCHEMES.map(([name], i) => `${name}: ${summary(found[i])}; linear theory: stable up to ${written(rig.limit(found[i][0].one).stable, 3)} N·m/rad`).join(". ") + ".";
+      make("tbody", {}, ...WALLS.map((stiffness, i) => make("tr", {}, make("td", { textContent: stiffness }), ...found.map((hits) => cell(hits[i])))))));
   }
 
+  function comparison() {
+    const theory = (hits) => `linear theory: stable up to ${written(rig.limit(hits[0].one).stable, 3)} N·m/rad`;
+    return SCHEMES.map(([name], i) => `${name}: ${summary(found[i])}; ${theory(found[i])}`).join(". ") + ".";
+  }
+
+  enable(false);
   return make("section", { className: "panel" }, make("h2", { textContent: "The experiment of the paper" }),
     make("p", { className: "quiet", textContent: "Does a slower velocity estimate allow a stiffer wall? Hit ever stiffer walls with both ways of sampling." }),
-    make("p", { className: "steps" }, ...buttons, conclude), report, place);
+    make("p", { className: "steps" }, ...buttons, compare), missing, report, place);
 }
 
-// Up to which wall all hits were stable, and which walls were not.
+// Up to which stiffness every wall is stable, and the verdict of the first that is not.
 function summary(hits) {
-  const stable = hits.filter(({ kind }) => kind === "stable").length;
-  const first = hits.find(({ kind }) => kind !== "stable");
-  return first ? `${stable} of ${hits.length} walls stable, the first that is not has K = ${first.stiffness} (${first.kind})` : `all ${hits.length} walls stable`;
+  const first = hits.findIndex(({ kind }) => kind !== "stable");
+  if (first < 0) return `every wall is stable, up to K = ${hits.at(-1).stiffness}`;
+  const { stiffness, kind } = hits[first];
+  return `${first ? `every wall is stable up to K = ${hits[first - 1].stiffness}, then` : "already"} K = ${stiffness}: ${kind}`;
 }

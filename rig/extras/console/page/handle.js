@@ -43,7 +43,9 @@ export class Handle {
     this.stale = true;
   }
 
+  // The hand leaves the handle; the pointer and a key that are still held must be pressed anew.
   #let() {
+    this.dragging = false;
     this.wish = null;
     this.motion = null;
     this.press = 0;
@@ -67,10 +69,11 @@ export class Handle {
     const from = this.wish ?? this.motion?.[1] ?? this.experiment?.trial?.start ?? 0;
     const moves = { ArrowLeft: -1, ArrowRight: 1 };
     const presses = { ArrowUp: 1, ArrowDown: -1 };
-    if (event.key in moves) this.wish = Math.min(this.high, Math.max(this.low, from + moves[event.key] * this.step));
-    else if (event.key in presses) this.press = Math.min(10, Math.max(0, this.press + presses[event.key] * PRESS_STEP));
-    else return;
+    if (!(event.key in moves || event.key in presses)) return;
     event.preventDefault();
+    if (event.repeat && this.wish === null) return; // held since before a STOP
+    if (event.key in moves) this.wish = Math.min(this.high, Math.max(this.low, from + moves[event.key] * this.step));
+    else this.press = Math.min(10, Math.max(0, this.press + presses[event.key] * PRESS_STEP));
     this.#say();
   }
 

@@ -1,7 +1,7 @@
 // The page: a header that is always there, with STOP; and views, of which one is shown.
 
 import { devicesView } from "./devices.js";
-import { make, written } from "./dom.js";
+import { make } from "./dom.js";
 import { Handle } from "./handle.js";
 import { Link } from "./link.js";
 import { Maps } from "./maps.js";
@@ -9,34 +9,17 @@ import { Recordings } from "./recordings.js";
 import { Scope } from "./scope.js";
 import { Sessions } from "./sessions.js";
 import { Sound } from "./sound.js";
+import { notice, offerStop } from "./stop.js";
 import { Wall } from "./wall.js";
-
-const NOTICE_MS = 12000;
 
 const link = new Link();
 const $ = (id) => document.getElementById(id);
 const views = {};
 
-// STOP: Escape everywhere, Space outside text fields and controls.
-$("stop").addEventListener("pointerdown", () => link.stop());
-$("stop").addEventListener("click", () => link.stop());
-addEventListener("keydown", (event) => {
-  const controls = "input, select, textarea, button, [role=slider], [contenteditable]";
-  const space = event.key === " " && !event.target.closest(controls);
-  if (event.key !== "Escape" && !space) return;
-  event.preventDefault();
-  link.stop();
-}, { capture: true });
+offerStop(() => link.stop());
 
 $("operate").addEventListener("click", () => link.ask("operate", { take: true }).catch(notice));
 
-let silence = 0;
-function notice(error) {
-  $("notice").textContent = error.message;
-  $("notice").hidden = false;
-  clearTimeout(silence);
-  silence = setTimeout(() => { $("notice").hidden = true; }, NOTICE_MS);
-}
 link.addEventListener("trouble", ({ detail }) => notice(detail));
 link.addEventListener("closed", ({ detail }) => {
   $("consent").hidden = true;
@@ -92,7 +75,7 @@ link.addEventListener("hello", ({ detail: facts }) => {
   addView("live", "Live", () => {
     const scope = new Scope(link, facts);
     const side = make("div", { className: "side" }, new Handle(link).element, new Wall(link, facts).element, new Sound(link).element);
-    globalThis.rigConsole = { scope, written };
+    globalThis.rigConsole = { scope };
     return make("div", {}, scope.element, side);
   });
   const sessions = new Sessions(link, facts); // at once: a page that reconnects receives the state of a session immediately

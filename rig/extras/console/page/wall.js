@@ -6,6 +6,7 @@ import { Estimator } from "./estimator.js";
 const ASK_MS = 250; // between two requests for the theory while a slider moves
 const SET_MS = 100;
 const JOBS = ["hit", "play"]; // those of this view
+const STARTING = "starting …";
 const SLIDERS = { "wall.stiffness": ["stiffness K", "stiffness"], "wall.damping": ["damping B", "damping"], "wall.position": ["position", "position"] }; // label, quantity
 
 export class Wall {
@@ -227,6 +228,7 @@ export class Wall {
 
   #state(state) {
     this.running = state.loop !== null && state.loop.ended === null;
+    if (this.running) this.#forgetStart();
     const busy = state.job !== null;
     this.play.disabled = this.hit.disabled = busy || (state.operated && !state.operates);
     const loop = state.loop;
@@ -246,7 +248,14 @@ export class Wall {
       this.verdict.replaceChildren(make("p", { dataset: { kind: report.kind }, textContent: `The ${job} ended: ${report.error}${report.remedy ? `; ${report.remedy}` : ""}${report.recording ? `. Recorded: ${report.recording}` : ""}` }));
     }
     if (report.say === "done") this.verdict.replaceChildren(...report.result.map(verdictOf));
-    if (report.say === "ended") this.set = undefined;
+    if (report.say === "ended") {
+      this.set = undefined;
+      this.#forgetStart();
+    }
+  }
+
+  #forgetStart() {
+    if (this.verdict.textContent === STARTING) this.verdict.replaceChildren();
   }
 
   #trouble(error) {
