@@ -2,9 +2,12 @@
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
+import struct
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from rig.core.errors import RigError
 from rig.core.present import plain
@@ -72,9 +75,17 @@ async def ask(service: Service, page: Any, do: str, **content: Any) -> Any:
     return answer
 
 
-def run(body: Callable[[], Awaitable[Any]]) -> Any:
+def frame_of(data: bytes) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], Any]:
+    """Return header, minima and maxima by column, and times, decoded as the page does."""
+    (length,) = struct.unpack_from("<I", data)
+    assert (4 + length) % 8 == 0, "a browser reads float64 at multiples of 8"
+    header = json.loads(data[4 : 4 + length])
+    arrays = 1 + len(header["columns"]) * (1 if header["step"] == 1 else 2)
+    numbers = np.frombuffer(data, "<f8", offset=4 + length).reshape(arrays, header["points"])
+    low = dict(zip(header["columns"], numbers[1:], strict=False))
+    high = dict(zip(header["columns"], numbers[1 + len(low) :], strict=False)) or low
+    return header, low, high, numbers[0]
 
-    async def whole() -> Any:
-        return await body()
 
-    return asyncio.run(whole())
+def run(body: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
+    return asyncio.run(body())

@@ -1,9 +1,7 @@
 """The view of recordings: list, cut, replay, export and delete them; pages cannot name files elsewhere."""
 
 import io
-import json
 import shutil
-import struct
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,7 +28,7 @@ from rig.recording.data import Recording
 from rig.recording.export import export
 from rig.recording.reader import open_recording
 from tests.conformance.tiers import first_by_default
-from tests.extras.console.console_fakes import Page, ask, run, shared
+from tests.extras.console.console_fakes import Page, ask, frame_of, run, shared
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 HOSTILE = [
@@ -54,17 +52,6 @@ def output(recorded: Path, tmp_path: Path) -> Path:
     shutil.copy(recorded, output / "one.parquet")
     (output / "one.png").write_bytes(b"a picture")
     return output
-
-
-def frame_of(data: bytes) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], Any]:
-    """Return header, minima and maxima by column, and times, decoded as the page does."""
-    (length,) = struct.unpack_from("<I", data)
-    header = json.loads(data[4 : 4 + length])
-    arrays = 1 + len(header["columns"]) * (1 if header["step"] == 1 else 2)
-    numbers = np.frombuffer(data, "<f8", offset=4 + length).reshape(arrays, header["points"])
-    low = dict(zip(header["columns"], numbers[1:], strict=False))
-    high = dict(zip(header["columns"], numbers[1 + len(low) :], strict=False)) or low
-    return header, low, high, numbers[0]
 
 
 def fetch(output: Path, path: str) -> Any:

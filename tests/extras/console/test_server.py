@@ -134,8 +134,8 @@ def test_a_running_loop_is_found_and_followed(tmp_path: Path) -> None:
             await page.ask("look", pid=os.getpid())
             loop_message = await page.until(lambda page: page.newest("loop"))
             assert loop_message["experiment"] == INFO["experiment"]
-            for _ in range(20):
-                loop.leave(100, flags=int(RowFlag.INSIDE))
+            for _ in range(5):
+                loop.leave(400, flags=int(RowFlag.INSIDE))
                 await asyncio.sleep(0.005)
             await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000)
             state = await page.until(lambda page: (page.newest("state") or {}).get("loop"))
@@ -463,8 +463,8 @@ def test_a_participants_screen_receives_what_it_shows_and_nothing_else(tmp_path:
                     assert "result" in await screen.ask(do, **content)
                 for do in ("operate", "run", "experiment", "recordings", "session", "show", "set"):
                     assert "unknown request" in (await screen.ask(do))["error"]["error"]
-                for _ in range(20):
-                    loop.leave(100)
+                for _ in range(5):
+                    loop.leave(400)
                     await asyncio.sleep(0.01)
                 await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000 - 2)
                 assert {one["say"] for one in screen.messages} == {"participant", "answer"}
@@ -546,8 +546,8 @@ def test_a_page_that_reads_nothing_delays_no_other(tmp_path: Path) -> None:
         ):
             await page.ask("look", pid=os.getpid())
             await page.until(lambda page: page.newest("loop"))
-            for _ in range(30):
-                loop.leave(100)
+            for _ in range(10):
+                loop.leave(300)
                 await asyncio.sleep(0.01)
             await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 3000 - 2)
             assert (page.newest("state") or {})["loop"]["unseen"] == 0

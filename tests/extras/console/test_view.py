@@ -1,7 +1,5 @@
 """The frames of a scope: each point once, sweeps from their trigger on, and only requested columns."""
 
-import json
-import struct
 from typing import Any
 
 import numpy as np
@@ -14,20 +12,14 @@ from rig.core.sample import ROW, RowFlag
 from rig.extras.console.history import History
 from rig.extras.console.trigger import Trigger
 from rig.extras.console.view import POINTS, View, ViewRequest
+from tests.extras.console.console_fakes import frame_of
 
 RATE = 1000.0
 
 
 def unpacked(frame: bytes) -> dict[str, Any]:
-    (length,) = struct.unpack_from("<I", frame)
-    header = json.loads(frame[4 : 4 + length])
-    assert (4 + length) % 8 == 0, "a browser reads float64 at multiples of 8"
-    numbers = np.frombuffer(frame[4 + length :], "<f8")
-    points, columns = header["points"], header["columns"]
-    parts = numbers.reshape(-1, points) if points else np.zeros((1 + 2 * len(columns), 0))
-    low = dict(zip(columns, parts[1:], strict=False))
-    high = low if header["step"] == 1 else dict(zip(columns, parts[1 + len(columns) :], strict=False))
-    return {**header, "times": parts[0], "low": low, "high": high}
+    header, low, high, _ = frame_of(frame)
+    return {**header, "low": low, "high": high}
 
 
 class Ramp:
