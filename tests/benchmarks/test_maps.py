@@ -15,7 +15,6 @@ import pytest
 from rig import config
 from rig.analysis import theory
 from rig.config import presets
-from rig.experiments.hits import hit_simulator
 from rig.experiments.mapping import _ranges as ranges
 from rig.experiments.mapping._maps import zwidth
 from rig.experiments.mapping._searches import StiffnessSearch
@@ -71,24 +70,6 @@ def test_python_takes_a_small_share_of_a_series(figure_6: Any, monkeypatch: pyte
         f"\n{1e3 * whole / count:.2f} ms a hit, {100 * (whole - inside[0]) / whole:.0f} % of it outside compiled code"
     )
     assert inside[0] > 0.7 * whole
-
-
-def test_memory_does_not_grow_with_the_number_of_hits() -> None:
-    short = config.override(HELD, {"trial.duration_s": 0.6, "verdict.tail_s": 0.1})
-    rig = hit_simulator.HitSimulator(short)
-
-    def peak(number: Any) -> Any:
-        tracemalloc.start()
-        for stiffness in range(10, 10 + number):
-            rig.hit(float(stiffness), 0.5)
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return most
-
-    peak(2000)  # traced memory grows by 0.1 MB until here (cause unknown), and then no more
-    few, many = peak(50), peak(500)
-    print(f"\npeak of memory: {few / 1e3:.0f} kB in 50 hits, {many / 1e3:.0f} kB in 500")
-    assert many < 1.2 * few + 20_000
 
 
 def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path: Path) -> None:

@@ -24,13 +24,16 @@ from firmware_protocol.packing import pack, pack_batch_samples
 from rig.config import presets
 from rig.config._sections import Host
 from rig.config.controller import for_experiment
-from rig.devices.port import LoopPort
 from rig.loop._run import LoopSettings
 from rig.loop._supervised import SupervisedThread
-from rig.realtime import system
-from rig.realtime.clock import MonotonicClock
 from rig.realtime.ring import Ring
-from tests.benchmarks.realtime.workbench import CURRENT_QUANTUM_A, FULL, SESSION, obtained
+from tests.benchmarks.realtime.workbench import (
+    CURRENT_QUANTUM_A,
+    FULL,
+    SESSION,
+    DescriptorLink,
+    obtained,
+)
 
 SAMPLES = 45  # in a frame
 STATES_A_SECOND = 200
@@ -78,29 +81,6 @@ def play(descriptor: int, frames: list[bytes], period_s: float, pipe: Any) -> No
     pipe.recv()  # hold the line open until everything was taken
 
 
-class Wire:
-    """A file descriptor with the interface of a link."""
-
-    messages = ()
-
-    def __init__(self, descriptor: int) -> None:
-        self.descriptor = descriptor
-        os.set_blocking(descriptor, False)
-        self.clock = MonotonicClock()
-
-    def port(self) -> LoopPort:
-        return LoopPort.on(
-            self.clock,
-            read=system.descriptor_read,
-            write=system.descriptor_write,
-            wait=system.descriptor_wait,
-            handle=self.descriptor,
-        )
-
-    def failure(self) -> None:
-        return None
-
-
 @contextmanager
 def socket_pair() -> Iterator[tuple[int, int]]:
     ours, theirs = socket.socketpair()
@@ -137,8 +117,9 @@ def followed(link: Any, frames: list[bytes], samples: int, rate: int, period_s: 
             target=play, args=(theirs, frames, period_s, far), daemon=True
         )
         player.start()  # before there is a second thread here
+        os.set_blocking(ours, False)
         with obtained(Host(), virtual=False) as realtime:
-            thread = SupervisedThread(Wire(ours), law, settings, memory, realtime=realtime)
+            thread = SupervisedThread(DescriptorLink(ours), law, settings, memory, realtime=realtime)
             before = time.process_time()
             thread.start()
             thread.wait()

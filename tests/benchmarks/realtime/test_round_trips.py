@@ -37,7 +37,7 @@ from firmware_protocol.packing import encoded_bytes, unpack
 from rig.devices import open_link
 from rig.devices.port import LoopPort
 from rig.loop._host import SHORTEST_WAIT_NS
-from rig.realtime import control_words, system
+from rig.realtime import control_words
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import (
@@ -45,6 +45,7 @@ from tests.benchmarks.realtime.workbench import (
     FULL,
     PRIORITY,
     SESSION,
+    DescriptorLink,
     command_frame,
     compile_c,
     inherited,
@@ -104,16 +105,7 @@ def connect_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tupl
     """Yield two connected sockets as a link."""
     with ours, theirs:
         ours.settimeout(1.0)
-
-        def port() -> LoopPort:
-            return LoopPort.on(
-                Wire.clock,
-                read=system.descriptor_read,
-                write=system.descriptor_write,
-                wait=system.descriptor_wait,
-                handle=ours.fileno(),
-            )
-
+        port = DescriptorLink(ours.fileno()).port
         yield Wire(ours.fileno(), port, ours.send, ours.recv), theirs.fileno()
 
 

@@ -30,6 +30,7 @@ from rig.devices.port import LoopPort
 from rig.loop._run import LoopSettings, LoopThread
 from rig.loop._signals import stop_on_signals
 from rig.loop.layout import EndReason
+from rig.realtime import system
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.realtime.ring import Ring
@@ -178,6 +179,29 @@ def loop_settings(rate: int, **changes: Any) -> LoopSettings:
         "wait_for_room": False,
     }
     return LoopSettings(**{**usual, **changes})
+
+
+class DescriptorLink:
+    """An open file descriptor with the interface of a link, which never fails."""
+
+    messages = ()
+    clock = MonotonicClock()
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+
+    def port(self) -> LoopPort:
+        """Return the loop's port, as `rig.devices.device.Link.port` does."""
+        return LoopPort.on(
+            self.clock,
+            read=system.descriptor_read,
+            write=system.descriptor_write,
+            wait=system.descriptor_wait,
+            handle=self.descriptor,
+        )
+
+    def failure(self) -> None:
+        """Implement `rig.devices.device.Link.failure`."""
 
 
 class NearLink:
