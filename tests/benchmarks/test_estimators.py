@@ -7,10 +7,7 @@ the ratios counts. Also printed: C in a loop of its own. The call, which hands o
 """
 
 import ctypes
-import shutil
 import statistics
-import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +23,7 @@ from rig.control.estimators.arrays import quantise, update_all
 from rig.control.estimators.estimator import PERIOD, RESOLUTION
 from rig.experiments.estimation._signals import SIGNALS
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, NativeFunction
+from tests.benchmarks.test_trial import compile_c, cpu_ns
 
 SOURCE = Path(__file__).with_name("estimators.c")
 RATE, DELTA = 20_000, 1e-6
@@ -56,14 +54,8 @@ CASES = [  # estimator, settings, function in C
 
 @pytest.fixture(scope="module")
 def in_c(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("no gcc")
-    library = tmp_path_factory.mktemp("c") / "estimators.so"
-    places = [f"-D{name}={value}" for name, value in PLACES.items()]
-    options = ["-std=c99", "-O3", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([compiler, *options, *places, str(SOURCE), "-o", str(library), "-lm"], check=True)
-    return ctypes.CDLL(str(library))
+    options = [f"-D{name}={value}" for name, value in PLACES.items()]
+    return compile_c(tmp_path_factory.mktemp("c"), SOURCE, *options)
 
 
 @pytest.fixture(scope="module")
@@ -115,12 +107,6 @@ def run_theirs(library: Any, function: Any, parameters: Any, counts: Any, out: A
         )
 
     return make_run(plugged, f, i, parameters, counts, out), alone
-
-
-def cpu_ns(function: Any) -> Any:
-    started = time.thread_time_ns()
-    function()
-    return time.thread_time_ns() - started
 
 
 @pytest.mark.parametrize(("name", "settings", "function"), CASES)

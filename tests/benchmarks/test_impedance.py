@@ -4,9 +4,7 @@ As in test_trial.py: in turns in one process, CPU time of the thread, median of 
 """
 
 import ctypes
-import shutil
 import statistics
-import subprocess
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -20,25 +18,18 @@ from rig.control import laws
 from rig.experiments.trials.excitation_run import multisine_of, ramp_s
 from sim_backend.bare.excited import ExcitedPlant
 from sim_backend.mechanics.plant import DiscretePlant
-from tests.benchmarks.test_trial import OPTIONS, cpu_ns, header
+from tests.benchmarks.test_trial import compile_c, cpu_ns
 
-SOURCES = Path(__file__).parent
+SOURCE = Path(__file__).with_name("excited.c")
 CHAWDA = config.excited(presets.load("chawda-linear"))
 RATIO, EVERY = 20, 5  # inner steps in a tick of 1 ms, and between two positions
 SECONDS = 5
 PAIRS = 15
 
 
-def build_c(directory: Any, *options: Any) -> Any:
-    """Compile excited.c and return its function."""
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("no gcc")
-    (directory / "records.h").write_text(header())
-    library = directory / f"excited{'-'.join(options)}.so"
-    flags = [*OPTIONS, *options, f"-I{directory}", f"-I{SOURCES}"]
-    subprocess.run([compiler, *flags, str(SOURCES / "excited.c"), "-o", str(library), "-lm"], check=True)
-    function = ctypes.CDLL(str(library)).excite
+def build_c(directory: Path, *options: str) -> Any:
+    """Return the function of excited.c."""
+    function = compile_c(directory, SOURCE, *options).excite
     function.restype = ctypes.c_int64
     return function
 

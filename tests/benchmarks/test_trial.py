@@ -62,17 +62,21 @@ def header() -> str:
     )
 
 
-def build_c(directory: Any, *options: Any) -> Any:
-    """Compile trial.c; returns a function that runs a trial into a trace as `run_in_numba` does."""
+def compile_c(directory: Path, source: Path, *options: str) -> ctypes.CDLL:
+    """Compile a file of this directory and load it; skip the test without a compiler."""
     compiler = shutil.which("gcc")
     if compiler is None:
         pytest.skip("no gcc")
     (directory / "records.h").write_text(header())
-    library = directory / f"trial{'-'.join(options)}.so"
-    subprocess.run(
-        [compiler, *OPTIONS, *options, f"-I{directory}", str(SOURCE), "-o", str(library), "-lm"], check=True
-    )
-    function = ctypes.CDLL(str(library)).trial
+    library = directory / f"{source.stem}-{len(options)}.so"
+    flags = [*OPTIONS, *options, f"-I{directory}", f"-I{source.parent}"]
+    subprocess.run([compiler, *flags, str(source), "-o", str(library), "-lm"], check=True)
+    return ctypes.CDLL(str(library))
+
+
+def build_c(directory: Path, *options: str) -> Any:
+    """Return a function of trial.c that runs a trial into a trace as `run_in_numba` does."""
+    function = compile_c(directory, SOURCE, *options).trial
     function.restype = ctypes.c_int64
 
     def run(law: Any, plant: Any, trace: Any) -> Any:

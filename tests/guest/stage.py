@@ -24,7 +24,7 @@ MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm", "virtio_console", "v
 SKIPPED = 77  # the exit status for "not run", as in automake
 PREPARE_TIMEOUT_S = 600.0
 ONE_CPU_FOR_ALL = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-PYTEST = ("-o", "addopts=", "--import-mode=importlib", "-p", "no:cacheprovider", "-p", "no:xdist")
+PYTEST = ("-rs", "-o", "addopts=", "--import-mode=importlib", "-p", "no:cacheprovider", "-p", "no:xdist")
 TEST_TIMEOUT_S = 150
 
 
