@@ -1,14 +1,13 @@
-"""Run the loop with its recorder for a long time, and report losses and lateness every minute.
+"""Run a hit in real time for a long time, and report losses and lateness every minute.
 
-    python -m tests.benchmarks.soak --minutes 10                          2 kHz over a pseudo-terminal
-    python -m tests.benchmarks.soak --url sim:// --busy                   a simulated rig in real time, beside its goal
-    python -m tests.benchmarks.soak --url sim:// --busy --without-rights  the same as an ordinary user
-    python -m tests.benchmarks.soak --url sim:// --rate 4000              on an idle machine
+    python -m tests.benchmarks.soak --minutes 10                   a simulated rig behind a pseudo-terminal
+    python -m tests.benchmarks.soak --busy                         beside a busy interpreter and processor
+    python -m tests.benchmarks.soak --busy --without-rights        the same as an ordinary user
+    python -m tests.benchmarks.soak --rate 4000                    on an idle machine
     python -m tests.benchmarks.soak --url serial:///dev/ttyACM0 --verified
 
-Without a URL the far end is the C program of the benchmarks (`realtime/far_end.c`), which sends STATE at the rate.
-With a URL, one long hit runs on that device, with its limits and all parts of `rig hit`. The last line is one JSON
-object; the exit code is 0 when the loop ran to the end and the recorder lost no row.
+It is one long hit, with the device's limits and all parts of `rig hit`. The last line is one JSON object; the exit code
+is 0 when the loop ran to the end and the recorder lost no row.
 """
 
 import argparse
@@ -16,15 +15,10 @@ import contextlib
 import json
 import math
 import os
-import pty
 import resource
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
-import tty
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,7 +28,6 @@ import numpy as np
 from rig import config
 from rig.config import presets
 from rig.core.errors import RigError
-from rig.devices import open_link
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.loop._run import COUNTERS
@@ -42,15 +35,12 @@ from rig.realtime import control_words
 from rig.realtime._anonymous_memory import LINK
 from rig.realtime.ring import Ring
 from rig.realtime.scheduling._rights import CAP_SYS_NICE, Rights
-from rig.recording.recorder import Recorder
 from tests.benchmarks.realtime import workbench
-from tests.conformance.recording import example_header
 
 LOOK_S = 0.5
 BEFORE_THE_END_S = 0.3
 GOAL_WITHOUT_RIGHTS = 1e-3  # of the samples; with them, none
 MINUTE_S = 60.0
-RING_SECONDS = 5.0
 COLUMNS = (
     "minute", "ticks", "lost", "skipped", "overruns", "late", "stale", "bad", "dropped",
     "p50 µs", "p99", "p99.9", "max", "ring %", "RSS MB", "CPU %",
@@ -61,14 +51,14 @@ def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--rate", type=int, help="ticks a second (default: 2000, on a device the preset's)")
+    parser.add_argument("--rate", type=int, help="ticks a second (default: the preset's)")
     parser.add_argument("--pacing", choices=("device", "host"), default="device")
-    parser.add_argument("--url", help="a device; sim:// starts one behind a pseudo-terminal")
-    parser.add_argument("--preset", default="koul-compliant", help="experiment for a device")
+    parser.add_argument("--url", default="sim://", help="a device (default: a simulated one)")
+    parser.add_argument("--preset", default="koul-compliant", help="experiment")
     parser.add_argument(
         "--verified", action="store_true", help="vouch for a real rig, as rig hit --verified does"
     )
-    parser.add_argument("--effort", type=float, help="push of the trial on a device (default: the preset's)")
+    parser.add_argument("--effort", type=float, help="push of the trial (default: the preset's)")
     parser.add_argument("--priority", type=int, default=80)
     parser.add_argument(
         "--without-rights", action="store_true", help="give up the right to real-time scheduling first"
@@ -159,64 +149,6 @@ def resident_mb() -> float:
     """Return the resident memory of this process (MB)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-# Far ends ---------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def start_far_end(directory: Path, rate: int) -> Iterator[Any]:
-    """Start the C far end on a pseudo-terminal, and open it as rig opens ports."""
-    program = workbench.compile_c(directory, "far_end")
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    priority = workbench.PRIORITY if workbench.may_be_realtime() else 0
-    command = [str(program), str(master), str(priority), str(rate)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[master], text=True) as process:
-        assert process.stdout is not None
-        link = open_link(f"serial://{os.ttyname(slave)}")
-        os.close(slave)
-        try:
-            process.stdout.readline()
-            yield link
-        finally:
-            process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(10.0)
-            process.kill()
-            print(f"far end: {process.stdout.readline().strip()}")
-            link.close()
-            os.close(master)
-
-
-def free_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
-    """Run the loop against a far end of the benchmarks."""
-    rate = options.rate or 2000
-    settings = {"host_paced": options.pacing == "host", "spin_ns": round(options.spin_us * 1e3)}
-    ring = Ring.allocate(round(RING_SECONDS * rate))
-    with contextlib.ExitStack() as stack:
-        link = stack.enter_context(start_far_end(directory, rate))
-        path = (options.output or directory) / f"soak-{time.time_ns()}.rigcap"
-        recorder = stack.enter_context(Recorder(path, example_header(), ring))
-        with workbench.running_loop(link, rate, ring, cpu=options.cpu, **settings) as loop:
-            link.write(workbench.command_frame(0))  # starts the device, in the session of the loop
-            if options.busy:
-                stack.enter_context(workbench.processor_hogs(1))
-                stack.enter_context(workbench.interpreter_hogs())
-            watch.started = watch.minute_at = time.monotonic()
-            watch.cpu = time.process_time()
-            end = watch.started + options.minutes * MINUTE_S
-            while time.monotonic() < end and not ring.get(control_words.LOOP_DONE):
-                time.sleep(min(LOOK_S, max(0.0, end - time.monotonic())))
-                watch.read_rows(ring)
-        watch.read_rows(ring, last=True)
-        end_of_loop = loop.end()
-        trailer = recorder.finish({"reason": end_of_loop.reason.name.lower()}, timeout_s=60.0)
-    found = {"end": end_of_loop.reason.name, "rate": rate, "rows": trailer["recorder"]["rows"]}
-    found |= {"rows_lost": end_of_loop.counters["ticks"] - found["rows"], "file_bytes": path.stat().st_size}
-    if options.output is None:
-        path.unlink()
-    return found
 
 
 def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
@@ -313,20 +245,15 @@ def main() -> int:
     options = arguments()
     if options.without_rights:
         give_up_rights()
-    if shutil.which("gcc") is None and options.url is None:
-        print("gcc is not installed (package gcc): the far end is in C. Or give --url", file=sys.stderr)
-        return 2
     watch = Watch()
     with tempfile.TemporaryDirectory() as name:
-        directory = Path(name)
-        run = free_run if options.url is None else device_run
-        found = run(options, directory, watch)
-    if options.url is not None and watch.totals:
+        found = device_run(options, Path(name), watch)
+    if watch.totals:
         print(compare_to_goal(options, watch.totals))
     chosen = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
     summary = {"asked": chosen, **found, **watch.totals}
     print(json.dumps(summary))
-    return 0 if found["end"] in ("STOPPED", "FINISHED") and found.get("rows_lost") == 0 else 1
+    return 0 if found["end"] == "FINISHED" and found.get("rows_lost") == 0 else 1
 
 
 if __name__ == "__main__":

@@ -196,13 +196,6 @@ def test_a_wrong_request_for_a_recording_is_refused_with_a_remedy(
     assert refused.value.remedy
 
 
-@pytest.mark.parametrize(
-    "path", ["/recordings/one.parquet/unknown", "/recordings/one.parquet", "/index.html", "/"]
-)
-def test_other_paths_are_not_of_this_view(output: Path, path: str) -> None:
-    assert fetch(output, path) is None
-
-
 @pytest.mark.parametrize("form", first_by_default(["csv", "mat", "parquet"]))
 def test_an_export_is_that_of_the_command(output: Path, tmp_path: Path, form: str) -> None:
     path = export(output / "one.parquet", tmp_path / f"exported.{form}")

@@ -85,13 +85,6 @@ def test_an_experiment_that_is_about_another_rig(model: RigModel, says: str) -> 
     assert says in refusal(moteus(), model)
 
 
-def test_all_differences_are_named_at_once() -> None:
-    model = other(amplifier={"effort_per_ampere": 0.05, "drive": "voltage"})
-    text = refusal(moteus(), model)
-    assert "N·m/A" in text
-    assert "voltage" in text
-
-
 def test_another_generation_of_firmware() -> None:
     drive = moteus()
     drive._integer_registers[0x102] = 4

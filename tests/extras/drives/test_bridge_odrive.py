@@ -18,7 +18,7 @@ from rig.core.errors import (
     IncompatibleDeviceError,
     RigError,
 )
-from rig.core.model import Encoder, RigModel
+from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
 from rig.extras.drives import describe, odrive
 from rig.extras.drives.address import address_of
@@ -40,7 +40,6 @@ from tests.conformance.bridged import (
     write_endpoints,
 )
 from tests.conformance.host import RUN_PARAMETERS, Host
-from tests.extras.drives.conftest import other
 
 TURN = 4 * 4096  # counts
 
@@ -96,25 +95,6 @@ def test_a_file_to_start_from_stays_within_the_limits_of_the_drive(tmp_path: Pat
 )
 def test_a_drive_that_is_set_up_otherwise(path: str, value: str, says: str) -> None:
     assert says in refusal(drive_with({path: value}))
-
-
-@pytest.mark.parametrize(
-    ("model", "says"),
-    [
-        (other(amplifier={"effort_per_ampere": 1.0}), "but the experiment has 1"),  # amperes for N·m
-        (
-            other(encoder={"ratio": 2.0 * 6.283185307}),
-            "but the experiment has 0.1",
-        ),  # radians for revolutions
-        (
-            other(encoder=Encoder(counts_per_revolution=2048, ratio=2.0)),
-            "16384 counts per turn, but the experiment has 8192",
-        ),
-        (other(amplifier={"drive": "voltage"}), "controls the current"),
-    ],
-)
-def test_an_experiment_that_is_about_another_rig(model: RigModel, says: str) -> None:
-    assert says in refusal(drive_with(), model)
 
 
 def test_all_that_is_wrong_is_named_at_once_with_what_to_type() -> None:
