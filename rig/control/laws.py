@@ -12,13 +12,7 @@ from rig.control.law import Law, PreparedLaw
 from rig.core import plugins
 from rig.core.errors import ConfigError
 
-__all__ = [
-    "BUILT_IN",
-    "Law",
-    "PreparedLaw",
-    "get",
-    "names",
-]
+__all__ = ["BUILT_IN", "Law", "PreparedLaw", "get", "names"]
 
 # Name → function that makes the law, imported with the compiled code of it.
 BUILT_IN = {
@@ -28,10 +22,7 @@ BUILT_IN = {
 }
 # Laws whose numbers come from an experiment, by the names that recordings give them: with the recorded parameters
 # they replay.
-_OF_RECORDINGS = {
-    "traced": "rig.control.motions:traced_law",
-    "nudges": "rig.control.motions:nudged_law",
-}
+_OF_RECORDINGS = {"traced": "rig.control.motions:traced_law", "nudges": "rig.control.motions:nudged_law"}
 _COMPENSATED = {  # wrappers around any of them
     "+cogging": "rig.control.cogging:around",
     "+friction": "rig.control.friction:around",

@@ -390,11 +390,7 @@ def _tick_rates(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
         found, accepted, off_s = _measure_ticks(trial, rate, rate)
         away = found / rate - 1.0
         if abs(away) > RATE_SHARE and (accepted or rate != ODD_RATE):
-            wrong = wrong or {
-                "wanted": rate,
-                "found": found,
-                "answer": "accepted" if accepted else "refused",
-            }
+            wrong = wrong or {"wanted": rate, "found": found, "answer": "accepted" if accepted else "refused"}
         elif accepted and abs(away) * 1e6 > abs(drift_ppm):
             drift_ppm = away * 1e6
         if rate == trial.rate_initial and off_s * rate > GRID_SHARE and wrong is None:
@@ -508,10 +504,7 @@ def _observations_so_far(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     yield "time_steps_back", {"us": back / UNITS_PER_US} if back and not begins_again else None
     crossed = trial.times[0] >> 32 != trial.times[1] >> 32
     unseen = "not observed for long enough: give 280 `seconds` from power-up"
-    yield (
-        "time_width",
-        {"s": back / UNITS_A_SECOND} if begins_again else None if crossed else unseen,
-    )
+    yield ("time_width", {"s": back / UNITS_A_SECOND} if begins_again else None if crossed else unseen)
     yield "read_room", {"overruns": overruns} if overruns else None
     waits_s = read_units / UNITS_A_SECOND
     yield "read_waits_not", {"ms": waits_s * 1e3} if waits_s > WAITS_S else None

@@ -230,8 +230,7 @@ def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
                 raise
     if taken:
         return refused(
-            f"the device accepts {' and '.join(taken)}",
-            "keep motor power off; flash the device again",
+            f"the device accepts {' and '.join(taken)}", "keep motor power off; flash the device again"
         )
     if device.active_parameters() != before:
         return refused("a refused parameter block has changed parameters", "flash the device again")

@@ -68,14 +68,7 @@ def write_uf2(pieces: Iterable[Piece], family: int) -> bytes:
             pages.setdefault(at - at % PAYLOAD_BYTES, bytearray(PAYLOAD_BYTES))[at % PAYLOAD_BYTES] = byte
     return b"".join(
         _HEAD.pack(
-            MAGIC_FIRST,
-            MAGIC_SECOND,
-            FAMILY_PRESENT,
-            address,
-            PAYLOAD_BYTES,
-            number,
-            len(pages),
-            family,
+            MAGIC_FIRST, MAGIC_SECOND, FAMILY_PRESENT, address, PAYLOAD_BYTES, number, len(pages), family
         )
         + bytes(page).ljust(DATA_ROOM, b"\0")
         + struct.pack("<I", MAGIC_LAST)

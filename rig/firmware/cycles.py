@@ -13,15 +13,7 @@ from rig.core.scratch import scratch
 from rig.firmware._cortex import CORES, Simulator, build
 from rig.firmware._estimator_c import FIXED, EstimatorC, c_float, estimator_c
 
-__all__ = [
-    "FIXED",
-    "REPORTED",
-    "Cost",
-    "EstimatorC",
-    "c_float",
-    "cost_of",
-    "estimator_c",
-]
+__all__ = ["FIXED", "REPORTED", "Cost", "EstimatorC", "c_float", "cost_of", "estimator_c"]
 
 REPORTED = ("M0+", "M4F", "M33F")
 _ENTRIES = ("begin", "velocity")

@@ -192,13 +192,7 @@ class _Spectra:
         def cross(x: Floats, y: Floats) -> Complexes:
             return np.asarray(
                 signal.csd(
-                    x,
-                    y,
-                    fs=run.rate_hz,
-                    window=window,
-                    noverlap=overlap,
-                    nfft=transform,
-                    detrend=False,
+                    x, y, fs=run.rate_hz, window=window, noverlap=overlap, nfft=transform, detrend=False
                 )[1]
             )
 

@@ -182,12 +182,7 @@ def own_parameters(
     """Return Levant's gains α and λ (counts, periods) for checked μ1, μ2; then the indices of scheme and output."""
     bound = settings["lipschitz"] * period_s**2 / abs(resolution)  # counts per period²
     scheme, output = settings["discretisation"], settings["output"]
-    return [
-        mu1 * bound,
-        mu2 * math.sqrt(bound),
-        float(SCHEMES.index(scheme)),
-        float(OUTPUTS.index(output)),
-    ]
+    return [mu1 * bound, mu2 * math.sqrt(bound), float(SCHEMES.index(scheme)), float(OUTPUTS.index(output))]
 
 
 SETTINGS: tuple[Setting | Choice, ...] = (
