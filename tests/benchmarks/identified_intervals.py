@@ -8,9 +8,9 @@ noise and of the excitation: every rig is one independent sample. Rigs that the 
 
 The rule was written before the results: each interval holds the true value in 90 to 99 of 100 rigs. Seeds 20000 to
 20115, 2026-11-29: inertia 97, delay 97, lag 95, viscous damping 99, Coulomb friction 100 in each direction. Since then
-each piece of a stroke counts for the level: of 100 other rigs (seeds 30000 to 30104) 99 up and 99 down; inertia 98,
-delay 97, lag 97, damping 99, whose intervals are as before. With pieces as independent points for the damping too,
-where their residuals are not alike, it was held in 35 of 40 (seeds 21000 to 21044), so there they still count as one.
+each piece of a stroke is a point for the Coulomb friction: of 40 other rigs (seeds 30000 to 30040, 2026-11-30) inertia,
+delay and lag 38 each, the others all. With pieces as independent points for the damping too, it was held in 35 of 40
+(seeds 21000 to 21044), so there they still count as one.
 """
 
 import argparse

@@ -40,7 +40,7 @@ from rig.analysis.identification._quality import (
     check_excited,
     check_explained,
 )
-from rig.analysis.identification._sliding import PIECES, Sliding
+from rig.analysis.identification._sliding import Sliding
 from rig.analysis.impedance._signals import Complexes, ExcitedRun, Floats, hold
 from rig.core.deferred import optimize
 from rig.core.present import reported
@@ -431,8 +431,7 @@ class _Problem:
         if damping is not None and math.isfinite(damping.ci95):
             start[B] += damping.ci95
         if sliding is not None and sliding.coulomb.value > 0.0 and math.isfinite(sliding.coulomb.ci95):
-            # As for the damping of the same line, whose error is correlated: all pieces of a stroke count as one.
-            harder += math.sqrt(PIECES) * sliding.coulomb.ci95 / sliding.coulomb.value
+            harder += sliding.coulomb.ci95 / sliding.coulomb.value
         rubbed = replace(self, friction=self.friction * harder)
         return (
             self.solve(start, free, fit.ticks, fit.weights),

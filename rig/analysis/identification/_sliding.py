@@ -27,10 +27,9 @@ PIECES = 3  # of each stroke
 LEAST_COUNTS = 10.0
 # Largest scatter about the fitted line, over the largest effort.
 LARGEST_SCATTER = 0.3
-# By how much of its way a piece may differ from the stroke that was asked for, one count aside. With this, and pieces
-# of a stroke that count as one, the interval held the Coulomb friction of 106 simulated rigs of 106 and the damping of
-# 104 (9 presets with coarser encoders, 52 random data sheets, rates of 1 to 4 kHz; 2026-11-29). Before it held 100 and
-# 83 of 108, and in every tenth the damping was wrong by more than 156 %, now 31 %.
+# By how much of its way a piece may differ from the stroke that was asked for, one count aside. With this the interval
+# held the damping of 104 simulated rigs of 106 (9 presets with coarser encoders, 52 random data sheets, rates of 1 to 4
+# kHz; 2026-11-29). Before it held 83 of 108, and in every tenth the damping was wrong by more than 156 %, now 31 %.
 UNSTEADY = 0.03
 
 
@@ -123,36 +122,36 @@ def fit_sliding(
             remedy="keep everything off the handle; a wider window of positions makes the strokes longer, and a "
             "higher sampling rate (`rate`) allows a stiffer position control during the strokes",
         )
-    matrix = np.column_stack([rising, -(~rising).astype(np.float64), velocity])
+    # level = coulomb·sign(v) + bias + damping·v
+    matrix = np.column_stack([np.sign(velocity), np.ones(len(level)), velocity])
     solution = np.linalg.lstsq(matrix, level, rcond=None)[0]
     residual = level - matrix @ solution
     freedom = len(level) - matrix.shape[1]
     # Friction varies with position, and with a coarse encoder the servo's effort has ripple: scatter about the line
-    # gives the intervals. Errors of the pieces of one stroke are correlated, so all pieces of a stroke count as one
-    # point.
-    covariance = PIECES * float(residual @ residual) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
+    # gives the intervals. The pieces of a stroke are independent points for the Coulomb friction alone, in which errors
+    # that depend on position cancel between the directions. For bias and slope they are correlated, and all pieces of a
+    # stroke count as one: as independent points, the interval held the bias beside cogging in 164 runs of a test (now
+    # 190 of 200) and the damping of 35 rigs of 40 (now 99 of 100, `tests.benchmarks.identified_intervals`, 2026-11-29).
+    covariance = float(residual @ residual) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
+    points = np.sqrt([1.0, PIECES, PIECES])
+    covariance *= np.outer(points, points)
     factor = quantile(freedom)
-    level_variance = 0.25 * float(covariance[:2, :2].sum())
-    together = 0.5 * float(covariance[:2, 2].sum())
-    scale = float(np.sqrt(level_variance * covariance[2, 2]))
+    scale = float(np.sqrt(covariance[0, 0] * covariance[2, 2]))
 
-    def interval(weights: Sequence[float]) -> Interval:
+    def interval(*weights: float) -> Interval:
         w = np.asarray(weights)
-        # For the levels each piece counts: with one point for a stroke their intervals held 100 of 100 rigs, 95 of them
-        # within a third (`tests.benchmarks.identified_intervals`, 2026-11-29).
-        pieces = 1 if w[2] else PIECES
-        return Interval(float(w @ solution), factor * float(np.sqrt(w @ covariance @ w / pieces)))
+        return Interval(float(w @ solution), factor * float(np.sqrt(w @ covariance @ w)))
 
     fit = Sliding(
-        up=interval((1.0, 0.0, 0.0)),
-        down=interval((0.0, 1.0, 0.0)),
-        damping=interval((0.0, 0.0, 1.0)),
-        coulomb=interval((0.5, 0.5, 0.0)),
-        bias=interval((0.5, -0.5, 0.0)),
+        up=interval(1.0, 1.0, 0.0),
+        down=interval(1.0, -1.0, 0.0),
+        damping=interval(0.0, 0.0, 1.0),
+        coulomb=interval(1.0, 0.0, 0.0),
+        bias=interval(0.0, 1.0, 0.0),
         velocity=velocity,
         effort=level,
         scatter=float(np.sqrt(np.mean(residual**2))),
-        correlation=together / scale if scale > 0.0 else 0.0,
+        correlation=float(covariance[0, 2]) / scale if scale > 0.0 else 0.0,
     )
     largest = float(np.abs(level).max())
     if fit.scatter > LARGEST_SCATTER * largest:

@@ -234,6 +234,22 @@ def test_only_samples_at_the_asked_speed_are_used() -> None:
     assert found.points < 18
 
 
+def test_interval_of_the_bias_contains_it_beside_cogging() -> None:
+    """A bug took the pieces of a stroke for independent: it held in 164, although all strokes pass the same cogging."""
+    strokes, time_s, random, held = [], 0.0, np.random.default_rng(0), 0
+    for length in (0.4, 0.4, 0.8, 0.8, 1.6, 1.6):
+        way = 0.04 * (-1.0) ** len(strokes)
+        strokes.append(Stroke(time_s, time_s + length, way / length))
+        time_s += length
+    velocity = np.concatenate([np.full(round(RATE * (s.end_s - s.begin_s)), s.velocity) for s in strokes])
+    position, times = np.cumsum(velocity) / RATE, np.arange(len(velocity)) / RATE
+    for wave, phase in zip(random.uniform(0.012, 0.06, 200), random.uniform(0.0, 6.28, 200), strict=True):
+        cogging = 0.1 * UP * np.cos(2.0 * np.pi * position / wave + phase)
+        effort = UP * np.sign(velocity) + DAMPING * velocity + cogging
+        held += fit_sliding(times, effort, position, strokes, resolution=QUANTUM).bias.holds(0.0)
+    assert 185 <= held < 200
+
+
 def test_handle_that_did_not_slide_is_refused(servo_strokes: Any) -> None:
     time_s, effort, position, strokes = servo_strokes
     with pytest.raises(IdentificationError, match="0 in the positive direction, 0 in the negative"):
