@@ -58,8 +58,19 @@ def test_it_has_the_masses_of_its_rig_and_a_rigid_rig_or_a_low_rate_is_refused()
     with pytest.raises(ConfigError, match="not two masses joined by a spring") as refused:
         rig.hit("koul-rigid", estimator=NAME)
     assert "choose the estimator disturbance" in refused.value.remedy
-    with pytest.raises(ConfigError, match=r"unstable at a velocity rate of 2000 Hz .* mode of 587 Hz"):
-        estimators.get(NAME).prepare(MASSES, 1e-4, 1.0 / 2_000)
+
+
+@pytest.mark.parametrize(("settings", "rate"), [({}, 2_000), ({"frequency_hz": 825.0}, 8_805), ({}, 1_000)])
+def test_the_named_velocity_rate_is_the_lowest_stable_one(settings: Any, rate: int) -> None:
+    """A bug named 15 times the mode's frequency, 8.8 kHz: more than needed at 150 Hz, unstable at 825 Hz."""
+    named = r"unstable at a velocity rate of .* Hz .* mode of 587 Hz"
+    with pytest.raises(ConfigError, match=named) as refused:
+        estimators.get(NAME).prepare({**MASSES, **settings}, 1e-4, 1.0 / rate)
+    assert ("lower frequency_hz" in refused.value.remedy) == (rate > 1850)
+    least = int(refused.value.remedy.split()[3])
+    estimators.get(NAME).prepare({**MASSES, **settings}, 1e-4, 1.0 / least)
+    with pytest.raises(ConfigError, match=named):
+        estimators.get(NAME).prepare({**MASSES, **settings}, 1e-4, 1.0 / (0.98 * least))
 
 
 def test_the_poles_of_its_velocity_are_those_of_the_design_for_a_high_rate() -> None:
