@@ -105,6 +105,7 @@ class Compiled:
     kernel: Callable[..., float]  # not yet declared as one
     parameters: Mapping[str, Parameter]
     memory: tuple[str, ...]
+    arguments: tuple[str, ...]  # of the function, by name
 
 
 def compile_function(
@@ -151,6 +152,7 @@ def compile_function(
         kernel=scope[form.kind],
         parameters=own,
         memory=tuple(memory),
+        arguments=arguments,
     )
 
 
@@ -184,7 +186,7 @@ def _check_names(function_name: str, noun: str, names: Iterable[str], taken: Seq
 
 def _check_arguments(
     form: Form, function_name: str, function: Callable[..., float], memory: Sequence[str]
-) -> list[str]:
+) -> tuple[str, ...]:
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
         raise ConfigError(
             f"{function_name} is not a plain Python function",
@@ -192,7 +194,8 @@ def _check_arguments(
         )
     known = {name: meaning for name, (meaning, _) in form.quantities.items()}
     known |= {MEMORY: "values that it stores", PARAMETERS: "its parameters"}
-    for argument in inspect.signature(function).parameters.values():
+    signature = inspect.signature(function).parameters
+    for argument in signature.values():
         argument_name = f"{function_name} ({_describe_place(function)}): argument {argument.name!r}"
         if argument.kind is not argument.POSITIONAL_OR_KEYWORD or argument.default is not argument.empty:
             raise ConfigError(
@@ -211,7 +214,7 @@ def _check_arguments(
                 f"{argument_name} is used, but no memory is declared",
                 remedy='declare the values that it stores: memory=("previous",)',
             )
-    return list(inspect.signature(function).parameters)
+    return tuple(signature)
 
 
 def _compile(

@@ -9,7 +9,6 @@ The code around the function handles the encoder: a 32-bit counter that wraps, t
 and the first sample, for which the velocity is zero.
 """
 
-import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
 
@@ -91,7 +90,7 @@ def estimator(
             ints=PREVIOUS + 1,
             settings=tuple(_setting(one, parameter) for one, parameter in made.parameters.items()),
             design=lambda settings, resolution, period_s: [settings[one] for one in made.parameters],
-            uses_effort="effort" in inspect.signature(function).parameters,
+            uses_effort="effort" in made.arguments,
         )
 
     return decorate
