@@ -33,6 +33,9 @@ _OWN = ("prediction", "slow_velocity_rate", "slow_below")
 _CUTOFF = "cutoff_hz"
 # Cut-off over velocity rate, for a filter that the experiment does not use.
 _USUAL_SHARE = 0.1
+# In place of an estimator that is not linear, in linear theory: without damping an estimator has no effect, and with
+# damping an adaptive one has at best a little less lag than this filter, which was designed for the same noise.
+STAND_IN = "fdm-butterworth"
 _SUFFIXES = {"k": 1e3, "M": 1e6, "": 1.0}
 _FORM = "write dual:20k/2k or uniform:20k, then settings like ,estimator=kalman,cutoff_hz=200"
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, k_max_curve, linear_loop
 from rig.config import Experiment
-from rig.config.schemes import Scheme
+from rig.config.schemes import STAND_IN, Scheme
 from rig.core.errors import ConfigError
 from rig.core.model import Operator
 from rig.core.operators import GRIPS, NO_OPERATOR
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 # In ticks: after a longer delay a command's lifetime has ended, so the device has dropped the command.
 LARGEST_DELAY = 40
-# In place of an estimator that is not linear: without damping an estimator has no effect, and with damping an adaptive
-# one has at best a little less lag than this filter, which was designed for the same noise.
-STAND_IN = "fdm-butterworth"
 # Laws whose wall is the spring K and the damper B that linear theory covers; an excitation is added to them.
 SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")
 

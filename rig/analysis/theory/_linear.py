@@ -80,16 +80,20 @@ class Realisation:
 
     def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
         """Return the frequency response of an estimator, velocity over position (1/s), at each frequency (Hz)."""
+        self.check_counts_alone()
+        z = np.exp(2j * np.pi * self.period_s * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64)))
+        resolvent = z[:, None, None] * np.eye(self.order) - self.a
+        states = np.linalg.solve(resolvent, np.broadcast_to(self.b[:, None], (len(z), self.order, 1)))
+        return np.asarray(states[..., 0] @ self.c + self.d)
+
+    def check_counts_alone(self) -> None:
+        """Raise `NotLinearError` for an estimator that uses the effort: its frequency response needs the wall, too."""
         if self.of_effort is not None:
             raise NotLinearError(
                 f"estimator {self.name}: passivity and limit cycles have no theory with the effort, which it uses",
                 reason="its estimate depends on the motor's effort, which this theory does not contain",
                 remedy="use a simulation, or an estimator of the counts alone, such as fdm-butterworth or tracking",
             )
-        z = np.exp(2j * np.pi * self.period_s * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64)))
-        resolvent = z[:, None, None] * np.eye(self.order) - self.a
-        states = np.linalg.solve(resolvent, np.broadcast_to(self.b[:, None], (len(z), self.order, 1)))
-        return np.asarray(states[..., 0] @ self.c + self.d)
 
     def impulse(self, samples: int) -> Vector:
         """Return `samples` velocities of an estimator, for a position of 1 at the first sample and 0 afterwards."""
@@ -132,6 +136,8 @@ def _find_realisation(
     for of_effort in (False, True)[: 1 + estimator.uses_effort]:
         probe = _Probe(estimator, dict(settings), period_s, resolution, of_effort)
         rest, h = _settled_response(probe)
+        if of_effort and not h.any():
+            continue  # a user's function may have the argument without using it; the sum below shows whether it does
         reason = _nonlinearity(probe, rest, h)
         if reason:
             return reason
@@ -143,7 +149,7 @@ def _find_realisation(
     alone = replace(probe, of_effort=False).motion(counts) + probe.motion(efforts) / resolution
     if not _are_close(alone, probe.velocities(counts, efforts) / resolution, SAME):
         return "the response to counts and efforts together is not the sum of both"
-    return replace(found[0], of_effort=found[1])
+    return replace(found[0], of_effort=found[1] if found[1:] else None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 from rig.analysis.theory._lifted import Lifted
 from rig.analysis.theory._limits import DampingLimit, Limit, b_max, k_max, k_max_curve
 from rig.analysis.theory._linear import NotLinearError
-from rig.analysis.theory._loop import (
-    LinearLoop,
-    RigLike,
-    SchemeLike,
-    Subject,
-    linear_loop,
-    resolve,
-)
+from rig.analysis.theory._loop import LinearLoop, RigLike, SchemeLike, Subject, linear_loop, resolve
 from rig.analysis.theory._passivity import PassivityBound, passive_curve, passivity_bound, rigid_b_max
 from rig.config import Experiment
 from rig.config.schemes import Scheme, describe_cutoffs
@@ -216,9 +209,7 @@ def _linear(
     for scheme in schemes:
         try:
             loop = linear_loop(subject, scheme)
-            loop.estimator.response(
-                1.0
-            )  # raises for an estimator that uses the effort, for which passivity is unknown
+            loop.estimator.check_counts_alone()
             loops.append((scheme, loop))
         except NotLinearError as error:
             first = first or error

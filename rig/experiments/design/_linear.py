@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rig import config
 from rig.analysis.theory import Lifted, LinearLoop, NotLinearError, linear_loop, resolve
 from rig.config import Experiment
-from rig.config.schemes import Scheme, usual_settings
+from rig.config.schemes import STAND_IN, Scheme, usual_settings
 from rig.experiments.design import _paths as paths
 from rig.experiments.design._listing import Candidate
 from rig.experiments.design._rules import BoundaryMeasures, Measures
@@ -23,9 +23,6 @@ from rig.experiments.mapping._rendering import RENDERED, rendered_share
 from rig.experiments.sweep import Task
 
 STAGE = "linear theory"
-# Linear theory cannot compute the limits of a nonlinear estimator: the usual filter (cut-off at a tenth of the velocity
-# rate) replaces it, as in the arming gate (`rig.doctor.late_loops`). Noise and fidelity are those of the estimator.
-STAND_IN = "fdm-butterworth"
 STIFFNESSES, CHUNK = 40, 4
 
 Floats = NDArray[np.float64]
@@ -167,6 +164,7 @@ def _limits(stable: NDArray[np.bool_], k: Floats) -> list[float]:
 
 
 def _use_usual_filter(scheme: Scheme) -> Scheme:
+    # Its limits only: noise and fidelity are those of the estimator.
     rate = scheme.velocity_rate
     usual = usual_settings(STAND_IN, rate)
     return replace(scheme, estimator=STAND_IN, parameters=usual, slow_velocity_rate=None, slow_below=0.0)

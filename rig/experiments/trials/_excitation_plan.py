@@ -10,6 +10,7 @@ from rig import config
 from rig.analysis.impedance import bare, rendered_impedance
 from rig.analysis.theory import Lifted, LinearLoop, linear_loop, with_linear_wall
 from rig.config import Experiment
+from rig.config.schemes import STAND_IN, usual_settings
 from rig.control.excitation import Peak
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
@@ -30,13 +31,15 @@ def excitation_plan(experiment: Experiment) -> Plan:
 def excitation_checks(experiment: Experiment) -> list[Check]:
     """Check that an excitation stays within the limits of effort, position and speed, as predicted by linear theory.
 
-    The prediction neglects friction and instability, and replaces a non-linear estimator by a finite difference.
+    The prediction neglects friction and instability, and replaces an estimator without a frequency response by
+    `rig.config.schemes.STAND_IN`. The check of stability replaces it only if it is not linear.
     """
     motion, limits, wall = experiment.rig.motion, experiment.rig.limits, experiment.wall
     centre, loop, excitation = wall.position, _linear_loop(experiment), experiment.excitation
+    responding = loop if loop.estimator.of_effort is None else _linear_loop(_with_stand_in(experiment))
     multisines = [multisine_of(experiment, number) for number in range(excitation.realisations)]
     lines = multisines[0].lines_hz
-    whole, alone = rendered_impedance(loop, wall.stiffness, wall.damping, lines), bare(loop, lines)
+    whole, alone = rendered_impedance(responding, wall.stiffness, wall.damping, lines), bare(loop, lines)
     motor = excitation.channel == "motor"
     bounds = {
         "effort_limit": min(limits.effort, experiment.rig.amplifier.effort_limit) if motor else None,
@@ -91,12 +94,15 @@ def _linear_loop(experiment: Experiment) -> LinearLoop:
     """Return the loop's model for linear theory; a non-linear estimator or wall is replaced by a linear one."""
     experiment, fixed = with_linear_wall(experiment), replace(experiment.controller, slow_velocity_rate=None)
     try:
-        loop = linear_loop(replace(experiment, controller=fixed))
-        loop.estimator.response(1.0)  # raises for an estimator that uses the effort
-        return loop
+        return linear_loop(replace(experiment, controller=fixed))
     except ConfigError:
-        plain = replace(fixed, estimator="fdm", parameters={})
-        return linear_loop(replace(experiment, controller=plain))
+        return linear_loop(_with_stand_in(replace(experiment, controller=fixed)))
+
+
+def _with_stand_in(experiment: Experiment) -> Experiment:
+    own = experiment.controller
+    usual = replace(own, estimator=STAND_IN, parameters=usual_settings(STAND_IN, own.velocity_rate))
+    return replace(experiment, controller=usual)
 
 
 def _stability_checks(experiment: Experiment, loop: LinearLoop) -> list[Check]:

@@ -93,17 +93,9 @@ def linear_noise(order: Any) -> Any:
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
-        ("levant", {}),
-        ("foaw-end", {}),
-        ("foaw-best", {}),
-        ("foaw-levant", {}),
-        ("optimal", {}),
-        ("period", {}),
-        ("period-frequency", {}),
-        ("fdm-butterworth-fixed", {}),
-        ("kalman", {"fading": "stf"}),
-        ("kalman", {"fading": "instant"}),
-        ("kalman", {"fading": "window"}),
+        *((name, {}) for name in ("levant", "foaw-end", "foaw-best", "foaw-levant", "optimal")),
+        *((name, {}) for name in ("period", "period-frequency", "fdm-butterworth-fixed")),
+        *(("kalman", {"fading": fading}) for fading in ("stf", "instant", "window")),
     ],
 )
 def test_nonlinear_estimator_is_refused_by_name(name: str, settings: Any) -> None:
@@ -175,6 +167,30 @@ def test_an_estimator_of_the_effort_is_the_sum_of_two_state_spaces(
     assert np.abs(again - own).max() < 1e-8 * np.abs(own).max()
     with pytest.raises(theory.NotLinearError, match=f"{estimator.name}: .*with the effort"):
         found.response(10.0)
+
+
+@rig.estimator()
+def idle(travel: float, elapsed_s: float, effort: float) -> float:
+    """A user's estimator with the effort as an argument that it does not use."""
+    return travel / elapsed_s
+
+
+@rig.estimator()
+def scaled(travel: float, elapsed_s: float, effort: float) -> float:
+    """A user's estimator that responds to the effort only while the handle moves."""
+    return travel / elapsed_s * (1.0 + 1e-3 * effort)
+
+
+def test_use_of_the_effort_is_decided_by_the_response_and_not_by_the_argument(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A bug called a linear estimator with an unused argument not linear."""
+    monkeypatch.setattr(estimators, "get", {"idle": idle, "scaled": scaled}.__getitem__)
+    found = linear.realise("idle", {}, 5e-4, RESOLUTION)
+    assert found.of_effort is None
+    assert found.impulse(3) == pytest.approx([2000.0, -2000.0, 0.0], abs=1e-9)
+    with pytest.raises(linear.NotLinearError, match="counts and efforts together"):
+        linear.realise("scaled", {}, 5e-4, RESOLUTION)
 
 
 def moving_chord(

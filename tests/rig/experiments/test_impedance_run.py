@@ -11,6 +11,7 @@ import pytest
 
 import rig
 from rig import config, devices
+from rig.analysis import theory
 from rig.analysis.impedance._estimate import periodic
 from rig.analysis.impedance._ideal import bare, rendered_impedance
 from rig.config import presets
@@ -468,7 +469,16 @@ def test_an_estimator_that_is_not_linear_has_a_plan_but_no_closed_form(estimator
     x = Scheme.parse(f"uniform:1k,estimator={estimator}").applied(CHAWDA)
     x = config.excited(config.override(x, {"wall.damping": 20.0}))
     assert make_plan(x).ok
+    assert f"with fdm-butterworth in place of {estimator}" in checks_of(x)["stability"].text
     assert measuring.expected(x, np.array([1.0, 10.0])) is None
+
+
+def test_the_stability_of_a_wall_with_an_observer_of_the_effort_is_its_own() -> None:
+    """A bug replaced it by a finite difference, although only its frequency response is unknown."""
+    x = Scheme.parse("uniform:1k,estimator=disturbance").applied(CHAWDA)
+    x = config.excited(config.override(x, {"wall.stiffness": 10e3, "wall.damping": 20.0}))
+    radius = theory.spectral_radius(x, None, 10e3, 20.0)
+    assert checks_of(x)["stability"].text.startswith(f"spectral radius {radius:.4f} by linear theory, both")
 
 
 def test_a_wall_below_zero_is_refused() -> None:
