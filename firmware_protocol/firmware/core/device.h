@@ -48,7 +48,8 @@ struct tick_report {
     uint8_t sync;    /* what the pins showed up to the sample */
 };
 
-/* What a tick works with stands first: a small processor reaches near fields with one instruction. */
+/* What a tick works with stands first: a small processor reaches near fields with one instruction. What grows with the
+ * list of parameters stands last. */
 struct device {
     const struct hal *hal;
     const struct board *board;
@@ -78,8 +79,8 @@ struct device {
     struct limits limits;
     struct watchdog watchdog;
     struct thermal thermal;
-    struct monitor monitor;
     struct renderer renderer;
+    struct monitor monitor;
     struct batch batch;
     struct current_check current;
     struct builder state_builder; /* of a STATE that waits to be sent */
@@ -87,17 +88,17 @@ struct device {
     size_t state_left;            /* bytes of it that the builder has not seen; 0: none waits */
 
     struct connection connection;
-    struct assembler assembler;
-    struct configuration configuration;
-    struct live_change live_change;
     struct remembered remembered;
-    struct faults faults;
     struct packet state_packet;
     uint64_t received_at; /* when the bytes came that are being taken */
     uint64_t leaves_at;   /* for the boot loader; 0: it stays */
     uint32_t stopped_at;  /* where the processor stopped before its last reset, or 0 */
     uint32_t command_lifetime_us, supervise_lifetime_us, ramp;
     uint32_t missed_lately, lately; /* ticks missed within a second, and the sample with which that began */
+    struct faults faults;
+    struct assembler assembler;
+    struct configuration configuration;
+    struct live_change live_change;
 };
 
 /* Start the device after power-up, in the state BOOT, at the board's initial rate. `device` must be zero before; `hal`
