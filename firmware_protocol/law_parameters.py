@@ -14,8 +14,6 @@ _U32 = (0, 2**32 - 1)
 _FLOAT = (-(2.0**30), 2.0**30)
 _POSITIVE = (0.0, 2.0**30)
 _SECTIONS = 4
-_GAINS = ("gain_position", "gain_velocity", "gain_twist", "gain_link", "gain_hand")
-TWO_MASS = tuple(f"two_mass_{name}" for name in ("spring_motor", "spring_link", *_GAINS, "input"))
 _Row = tuple[str, str, str, tuple[Value, Value], Value, str, bool]
 
 
@@ -74,16 +72,16 @@ def _rows() -> list[_Row]:
             "",
             (0, 1),
             0,
-            "1: least-squares line, 0: line through the newest sample",
+            "1: least-squares line, 0: through the newest sample",
             fixed,
         ),
-        ("levant_alpha", "f32", "", _FLOAT, 0.0, "in counts and periods", fixed),
-        ("levant_lambda", "f32", "", _FLOAT, 0.0, "in counts and periods", fixed),
+        ("levant_alpha", "f32", "count/period²", _FLOAT, 0.0, "", fixed),
+        ("levant_lambda", "f32", "√count/period", _FLOAT, 0.0, "", fixed),
         ("levant_discretisation", "u8", "", (0, 2), 0, "0 explicit, 1 semi-implicit, 2 implicit", fixed),
         ("levant_integrator", "u8", "", (0, 1), 0, "1: the velocity is u1, 0: u", fixed),
         ("kalman_position", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
-        ("kalman_velocity", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
-        ("kalman_acceleration", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
+        ("kalman_velocity", "f32", "1/period", _FLOAT, 0.0, "steady gain", fixed),
+        ("kalman_acceleration", "f32", "1/period²", _FLOAT, 0.0, "steady gain", fixed),
     ]
     return rows + _wall_rows()
 
@@ -139,7 +137,15 @@ def _wall_rows() -> list[_Row]:
          "estimates; float32, velocity_divider 1", fixed),
         ("float_passive_damping", "f32", "quantum·period/count", _POSITIVE, 0.0, "largest damping of the passivity "
          "controller; 0: none", fixed),
-        *((name, "f32", "", _FLOAT, 0.0, "see law_two_mass in law.h", fixed) for name in TWO_MASS),
+        ("two_mass_spring_motor", "f32", "1/period²", _FLOAT, 0.0, "acceleration of the motor for a twist", fixed),
+        ("two_mass_spring_link", "f32", "1/period²", _FLOAT, 0.0, "acceleration of the link for a twist", fixed),
+        ("two_mass_gain_position", "f32", "", _FLOAT, 0.0, "gain of the motor's position", fixed),
+        ("two_mass_gain_velocity", "f32", "1/period", _FLOAT, 0.0, "gain of the motor's velocity", fixed),
+        ("two_mass_gain_twist", "f32", "", _FLOAT, 0.0, "gain of link less motor", fixed),
+        ("two_mass_gain_link", "f32", "1/period", _FLOAT, 0.0, "gain of the link's velocity", fixed),
+        ("two_mass_gain_hand", "f32", "1/period²", _FLOAT, 0.0, "gain of the link's acceleration by the hand", fixed),
+        ("two_mass_input", "f32", "count/period²/quantum", _FLOAT, 0.0, "acceleration of the motor for a quantum of "
+         "active current", fixed),
     ]  # fmt: skip
 
 

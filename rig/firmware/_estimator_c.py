@@ -82,6 +82,8 @@ _FORMS = {
     "disturbance": _observer("NUMBERS.input * effort"),
     "disturbance-two-mass": _observer("NUMBERS.input * effort", "law_two_mass"),
 }
+# Members of law.h that are not called as the device parameter without the prefix of its structure.
+_MEMBERS = {f"kalman_{gain}": f"gain_{gain}" for gain in ("position", "velocity", "acceleration")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,16 +156,12 @@ def _define_numbers(form: _Form, values: dict[str, Value]) -> str:
         return ""
     if form.numbers == "law_low_pass":
         return _low_pass(values)
-    own = {_member_name(name): value for name, value in values.items() if name != "estimator"}
+    prefix = f"{form.numbers.removeprefix('law_')}_"
+    own = {_MEMBERS.get(name, name.removeprefix(prefix)): value for name, value in values.items()}
+    del own["estimator"]
     if form.numbers == "law_foaw":
         own.setdefault("least_squares", 0)
     return _define_struct(form.numbers, [f".{name} = {_literal(value)}," for name, value in own.items()])
-
-
-def _member_name(parameter: str) -> str:
-    """Return the name of the struct member in law.h that corresponds to a device parameter."""
-    kind, _, name = parameter.partition("_")
-    return f"gain_{name}" if kind == "kalman" and name != "input" else name.removeprefix("mass_")
 
 
 def _low_pass(values: dict[str, Value]) -> str:

@@ -31,7 +31,7 @@ static int good_choices(const law_parameters *p)
            && is_sign(p->sense) && between(p->may_pull, 0, 1) && between(p->entry_only, 0, 1)
            && between(p->bilateral, 0, 1) && between(p->extrapolate, 0, p->arithmetic != LAW_FIXED)
            && between(p->estimated_position, 0,
-                      p->arithmetic != LAW_FIXED && p->estimator >= LAW_KALMAN && p->velocity_divider == 1)
+                      p->arithmetic != LAW_FIXED && law_estimates_position(p->estimator) && p->velocity_divider == 1)
            && (p->arithmetic != LAW_FIXED || p->estimator == LAW_FDM_BUTTERWORTH_FIXED);
 }
 

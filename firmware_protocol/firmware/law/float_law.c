@@ -142,6 +142,12 @@ static void observe_energy(law_state *s, const law_parameters *p, int32_t travel
     s->travel = travel;
 }
 
+/* Return the estimated position less the last count; only if law_estimates_position. */
+static float position_offset(const law_state *s, const law_parameters *p)
+{
+    return p->estimator == LAW_TWO_MASS ? s->of.two_mass.offset : s->of.kalman.offset;
+}
+
 static float wanted(law_state *s, const law_parameters *p, float depth, int32_t travel, uint32_t elapsed)
 {
     const law_float_wall *w = &p->wall;
@@ -155,7 +161,7 @@ static float wanted(law_state *s, const law_parameters *p, float depth, int32_t 
     if (!law_is_rendering(s->phase))
         return 0.0f;
     if (p->estimated_position)
-        depth += w->side * (float)p->sense * s->of.kalman.offset; /* LAW_TWO_MASS begins with the same members */
+        depth += w->side * (float)p->sense * position_offset(s, p);
     total = reaction(s, p, depth);
     if (w->passive_damping > 0.0f && s->phase == LAW_TRIAL && depth > 0.0f)
         total = add_damping(s, p, total);

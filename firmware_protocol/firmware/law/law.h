@@ -53,6 +53,12 @@ typedef enum {
     LAW_TWO_MASS = 7
 } law_estimator;
 
+/* Return 1 if an estimator estimates the position, too. */
+static inline int law_estimates_position(int32_t estimator)
+{
+    return estimator == LAW_KALMAN || estimator == LAW_TWO_MASS;
+}
+
 typedef enum { LAW_FLOOR = 0, LAW_ZERO = 1, LAW_NEAREST = 2 } law_rounding; /* rig.control._fixed_point.ROUNDINGS */
 typedef enum { LAW_HASHED = 0, LAW_SCHROEDER = 1 } law_phases; /* of the excitation's lines */
 typedef enum { LAW_EXPLICIT = 0, LAW_SEMI_IMPLICIT = 1, LAW_IMPLICIT = 2 } law_discretisation;
@@ -197,7 +203,7 @@ typedef struct {
     int32_t entry_only; /* 1: damping acts on the way in only */
     int32_t bilateral;  /* 1: spring and damper on both sides of the surface (for impedances) */
     int32_t extrapolate; /* 1: first-order prediction between velocity samples; float law only */
-    int32_t estimated_position; /* 1: the spring sees the position of LAW_KALMAN or LAW_TWO_MASS; float law,
+    int32_t estimated_position; /* 1: the spring sees the estimator's position (law_estimates_position); float law,
                                    velocity_divider 1 */
     uint32_t velocity_divider; /* ticks of a velocity period; 1: uniform */
     uint32_t slow_multiple;    /* velocity periods between samples of a slow handle; 1: every one */
@@ -247,7 +253,7 @@ typedef struct {
 } law_kalman_state;
 
 typedef struct {
-    float offset, velocity; /* of the motor; the same members as in law_kalman_state */
+    float offset, velocity; /* of the motor */
     float twist;            /* link less motor */
     float link;             /* velocity */
     float hand;             /* acceleration of the link by the hand */

@@ -10,16 +10,16 @@ gain takes longer than a tick allows, and `optimal` and `foaw-levant` are not im
 import math
 from collections.abc import Callable
 
-from firmware_protocol.law_parameters import TWO_MASS
 from firmware_protocol.parameter import Value
 from rig.control._fixed_point import Format
+from rig.control.estimators import _disturbance_two_mass as two_mass
 from rig.control.estimators import _fdm_butterworth as fdm_butterworth
 from rig.control.estimators import _fdm_butterworth_fixed as fixed
 from rig.control.estimators import _foaw as foaw
 from rig.control.estimators import _foaw_best as foaw_best
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _levant as levant
-from rig.control.estimators.estimator import COMMON, Floats, Prepared
+from rig.control.estimators.estimator import Floats, Prepared
 from rig.control.on_device._errors import refusal
 
 ESTIMATORS = (  # in the order of the parameter `estimator`
@@ -67,12 +67,9 @@ def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Val
         )
     numbers = _NUMBERS.get(runs_as)
     own = numbers(prepared.parameters) if numbers is not None else {}
-    if runs_as == "kalman":
-        # Sent although it is 0 for `kalman` and `tracking`: a device keeps what a block does not contain, and the input
-        # of a `disturbance` that ran before would remain.
-        own["kalman_input"] = float(prepared.parameters[kalman.INPUT]) * effort_quantum
-    if runs_as == "disturbance-two-mass":
-        own[TWO_MASS[-1]] = float(prepared.parameters[-1]) * effort_quantum
+    if runs_as in _INPUTS:
+        parameter, at = _INPUTS[runs_as]
+        own[parameter] = float(prepared.parameters[at]) * effort_quantum
     return {"estimator": ESTIMATORS.index(runs_as), **own}
 
 
@@ -161,9 +158,20 @@ def _kalman(own: Floats) -> Values:
 
 
 def _two_mass(own: Floats) -> Values:
-    return dict(zip(TWO_MASS, own[COMMON:].tolist(), strict=True))
+    gains = (f"gain_{state}" for state in ("position", "velocity", "twist", "link", "hand"))
+    values = zip(
+        ("spring_motor", "spring_link", *gains), own[two_mass.SPRING_MOTOR : two_mass.INPUT], strict=True
+    )
+    return {f"two_mass_{name}": float(value) for name, value in values}
 
 
+# Parameter for the acceleration by a quantum of active current, and its index in those of the host's kernel. It is sent
+# although it is 0 for `kalman` and `tracking`: a device keeps what a block does not contain, and the input of a
+# `disturbance` that ran before would remain.
+_INPUTS = {
+    "kalman": ("kalman_input", kalman.INPUT),
+    "disturbance-two-mass": ("two_mass_input", two_mass.INPUT),
+}
 _NUMBERS: dict[str, Callable[[Floats], Values]] = {
     "fdm-butterworth-fixed": _biquad,
     "fdm-butterworth": _low_pass,
