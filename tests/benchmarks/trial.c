@@ -1,7 +1,8 @@
 /* A whole trial once more in C, as a careful programmer writes it for one rig, one estimator and one law: the yardstick of
-   test_trial.py, which compiles this with -O3. The plant is sim_backend/mechanics/plant.c; finite difference and Butterworth at T2; the law
-   with its clamp, homing, guard and whole current quanta. `struct control`, the places of parameters and the phases and
-   flags come from the Python modules, by records.h. The results are the same to the last bit. */
+   test_trial.py, which compiles this with -O3. The plant is sim_backend/mechanics/plant.c; finite difference and
+   Butterworth at T2; the law with its clamp, homing, guard and whole current quanta. `struct control`, the places of
+   parameters and the phases and flags come from the Python modules, by records.h. The results are the same to the last
+   bit. */
 #include <math.h>
 #include <stdint.h>
 #include "../../sim_backend/mechanics/plant.c"

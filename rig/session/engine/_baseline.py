@@ -6,6 +6,7 @@ Each recorded trial of a session calls it (`_hits`). It reads the recording only
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.config import Experiment
 from rig.core.sample import Phase
@@ -52,5 +53,5 @@ def baseline(recording: Recording, experiment: Experiment) -> Baseline | None:
     )
 
 
-def _rms(values: np.typing.NDArray[np.float64]) -> float:
+def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -92,36 +92,33 @@ def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
     speed = abs(float(scale.get("speed_limit") or 0.0)) or 1.0
     position_unit, velocity_unit = scale.get("position_unit", ""), scale.get("velocity_unit", "")
     trip = "-" if live.round_trip_ns is None else f"{live.round_trip_ns * 1e-6:.2f} ms"
-    return [
-        Gauge("phase", None, live.phase),
-        Gauge("depth", live.penetration / way, f"{live.penetration:+.4f} {position_unit}"),
-        Gauge("velocity", abs(live.velocity) / speed, f"{live.velocity:+.3f} {velocity_unit}"),
-        effort(view, live),
-        Gauge("round trip", None, trip),
-        Gauge(
-            "late, lost",
-            None,
-            f"{live.late}, {live.lost}" + (f" ({live.skipped} skipped)" if live.skipped else ""),
-        ),
-    ]
+    values = (
+        (None, live.phase),
+        (live.penetration / way, f"{live.penetration:+.4f} {position_unit}"),
+        (abs(live.velocity) / speed, f"{live.velocity:+.3f} {velocity_unit}"),
+        _effort(view, live),
+        (None, trip),
+        (None, f"{live.late}, {live.lost}" + (f" ({live.skipped} skipped)" if live.skipped else "")),
+    )
+    return [Gauge(name, share, text) for name, (share, text) in zip(GAUGES, values, strict=True)]
 
 
-def effort(view: DeskView, live: Snapshot) -> Gauge:
-    """Return the panel's line about the effort (N·m or N): as a number, or in words if the operator is blinded."""
+def _effort(view: DeskView, live: Snapshot) -> tuple[float, str]:
+    """Return length of the bar and text of the effort (N·m or N): a number, or a word if the operator is blinded."""
     limit = abs(float(view.scale.get("effort_limit") or 0.0))
     share = live.peak_effort / limit if limit else 0.0
     # Where the operator must be blind to the wall, an effort is a word: as a number, next to the penetration, it would
     # reveal the stiffness.
     if not view.blinded:
         text = f"{live.effort:+.3f} {view.scale.get('effort_unit', '')}"
-        return Gauge("effort", share, text + (", saturated" if live.saturated else ""))
+        return share, text + (", saturated" if live.saturated else "")
     if live.saturated:
-        return Gauge("effort", 1.0, "saturated")
+        return 1.0, "saturated"
     if share >= NEAR:
-        return Gauge("effort", NEAR, "near the limit")
+        return NEAR, "near the limit"
     if share >= HALF:
-        return Gauge("effort", HALF, "half")
-    return Gauge("effort", LOW, "low")
+        return HALF, "half"
+    return LOW, "low"
 
 
 def question(talk: Conversation, now_s: float) -> str:
