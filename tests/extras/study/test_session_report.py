@@ -18,7 +18,7 @@ from rig.config._sections import OSCILLATIONS
 from rig.config._table import parameters
 from rig.core.present import Table
 from rig.extras.study import AnalysisOptions, analyse, cli_report
-from rig.extras.study.plots import draw_study, pictures, tracks_name, zwidth_figure
+from rig.extras.study.plots import draw_study, pictures, tracks_name
 from rig.extras.study.report import NUMBERS, PAGE, numbers, render, write_session_report
 from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
@@ -401,12 +401,6 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> No
     assert "p (Holm) =" not in text
     assert "5 above of 5" in text
     assert "≥ " in text
-    triangles = [
-        c
-        for c in zwidth_figure(found, "rule").axes[0].collections
-        if c.get_paths() and len(c.get_paths()[0].vertices) == 4
-    ]
-    assert len(triangles) == 6  # five people and their mean
     assert "No model for censored values (Tobit) was used" in text
 
 

@@ -768,14 +768,17 @@ def test_a_function_has_its_levels_and_is_bounded_by_both_kinds_of_verdicts() ->
     assert share[1] == pytest.approx(0.5)
 
 
-def test_k50_beyond_the_levels_is_their_end_also_after_slips() -> None:
-    verdicts = [(level, level != 300.0) for level in LEVELS] * 2
-    above = half_way(LEVELS, verdicts)
-    assert (above.value, above.high, above.censored) == (LEVELS[-1], math.inf, "above")
-    below = half_way(LEVELS, [(level, level == 300.0) for level in LEVELS] * 2)
-    assert (below.value, below.low, below.censored) == (LEVELS[0], 0.0, "below")
-    found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
-    assert (found.threshold.mean, found.above, found.below, found.bounded) == (LEVELS[-1], 1, 0, False)
+def test_one_series_has_a_wide_interval_and_five_a_narrow_one() -> None:
+    """A single verdict that is not stable may be a lapse: the median stays near it with a wide interval."""
+    series = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
+    one, five = half_way(LEVELS, series), half_way(LEVELS, series * 5)
+    assert one.low < 437.0 < one.high
+    assert one.high - one.low > 4.0 * (five.high - five.low)
+    assert abs(five.value - 437.0) < 15.0
+    held = half_way(LEVELS, series[:-1])
+    assert (one.censored, held.censored) == ("", "above")
+    assert (held.value, held.high) == (425.0, math.inf)
+    assert half_way(LEVELS, series * 5, 0.71).value < five.value
 
 
 def test_over_participants_k50_is_the_mean_of_theirs_with_an_interval_over_them() -> None:

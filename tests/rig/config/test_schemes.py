@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.config import override, presets
-from rig.config.schemes import Scheme, describe_cutoffs, parse_rates, usual_settings
+from rig.config.schemes import Scheme, describe_cutoffs, parse_rates
 from rig.core.errors import ConfigError
 
 KOUL = presets.load("koul-compliant")
@@ -39,16 +39,6 @@ def test_a_rate_is_written_in_whole_digits(rate: int, text: str) -> None:
     scheme = Scheme(position_rate=rate, velocity_rate=rate)
     assert scheme.text == f"uniform:{text}"
     assert Scheme.parse(scheme.text) == scheme
-
-
-def test_the_usual_cutoff_is_a_tenth_of_the_rate_for_every_estimator_that_has_one() -> None:
-    for name, usual in (
-        ("fdm-butterworth", {"cutoff_hz": 200.0}),
-        ("fdm", {}),
-        ("kalman", {}),
-        ("unknown", {}),
-    ):
-        assert usual_settings(name, 2000) == usual
 
 
 @given(

@@ -67,15 +67,6 @@ def test_koul_compliant_has_its_free_free_mode_at_586_hz_with_the_declared_dampi
     assert -mode.real / abs(mode) == pytest.approx(0.035, rel=1e-9)
 
 
-def test_a_stiff_capstan_at_low_frequency_is_the_rigid_rig() -> None:
-    stiff = replace(COMPLIANT, transmission_stiffness=1e6)
-    omega = 2 * math.pi * 5.0
-    for source in (0, 1):
-        two = transfer(stiff, AMPLIFIER, state=3, source=source, omega=omega)
-        one = transfer(RIGID, AMPLIFIER, state=1, source=source, omega=omega)
-        assert two == pytest.approx(one, rel=1e-5)
-
-
 @pytest.mark.parametrize("mechanics", [RIGID, COMPLIANT])
 def test_without_lag_the_command_drives_the_motor_and_the_effort_state_stands_alone(
     mechanics: Mechanics,

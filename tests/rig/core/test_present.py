@@ -90,6 +90,11 @@ def test_a_value_is_written_for_people(value: object, text: str) -> None:
     assert written(value) == text
 
 
+def test_a_row_is_value_unit_and_note() -> None:
+    assert Row("peak effort", 1.5, "N·m", "limit 3").text == "1.5 N·m, limit 3"
+    assert Row("file", "a.parquet").text == "a.parquet"
+
+
 def test_the_terminal_aligns_rows_that_follow_each_other(capsys: pytest.CaptureFixture[str]) -> None:
     items: list[Item] = [
         "hit",

@@ -16,9 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.core.sample import COLUMNS, ROW, TRUTH_COLUMNS
+from rig.core.sample import COLUMNS, TRUTH_COLUMNS
 from rig.recording.canonical import canonical_json, lossless
-from rig.recording.header import VOLATILE, dtype_of, git_revision, make_schema, repeatable
+from rig.recording.header import VOLATILE, git_revision, make_schema, repeatable
 from tests.conformance.recording import example_header
 
 texts = st.text(st.characters())
@@ -77,12 +77,6 @@ def test_python_objects_become_plain() -> None:
 def test_value_without_a_json_form_is_refused(value: Any) -> None:
     with pytest.raises(TypeError, match="JSON"):
         canonical_json(value)
-
-
-def test_schema_describes_the_row() -> None:
-    schema = make_schema(COLUMNS, "rotary")
-    assert dtype_of(schema) == ROW
-    assert [column["name"] for column in schema["columns"]] == list(ROW.names or ())
 
 
 @pytest.mark.parametrize(("motion", "unit"), [("rotary", "N·m"), ("linear", "N")])

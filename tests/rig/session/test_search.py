@@ -166,25 +166,6 @@ def test_a_limit_lies_in_its_interval_and_between_a_stable_and_an_unstable_wall_
     assert between or estimate.distrust_reason or estimate.censored
 
 
-@pytest.mark.parametrize(
-    ("name", "mark"),
-    [
-        ("1u1d, most", "ended by most after 0 of 6 turns"),
-        (
-            "interleaved, most",
-            "ended by most after 0 of 6 turns, track 1; ended by most after 0 of 6 turns, track 2",
-        ),
-    ],
-)
-def test_a_staircase_that_had_no_time_for_its_turns_says_so(name: str, mark: str) -> None:
-    answers = run(SHORT[name](seed=1), SHARP, seed=1)
-    assert SHORT[name](seed=1).next(answers) is None
-    estimate = SHORT[name](seed=1).estimate(answers)
-    assert (estimate.ended_by_most, estimate.distrust_reason) == (True, mark)
-    whole = MAKE["1u1d"](seed=1).estimate(run(MAKE["1u1d"](seed=1), SHARP, seed=1))
-    assert (whole.ended_by_most, whole.distrust_reason) == (False, "")
-
-
 # ---------------------------------------------------------------------- each in its own way
 
 

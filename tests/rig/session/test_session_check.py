@@ -33,7 +33,7 @@ from rig.session.planning._plan import StudyPlan
 from rig.session.planning._protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
 from rig.session.planning._schedule import levels_of
 from rig.session.planning._template_files import DEFAULT, template_names, write_template
-from rig.session.planning._times import QUESTION_S, heat_of, trial_times
+from rig.session.planning._times import QUESTION_S, REHEARSED_TICK_S, heat_of, trial_times
 from tests.conformance.studies import Person, sitting, without_sync, write_study
 from tests.conformance.tiers import first_by_default
 
@@ -313,3 +313,8 @@ def test_the_motor_begins_no_hit_warmer_than_it_may(schemes: Protocol, share: fl
     assert found.peak <= share + found.after_one
     assert (found.first_pause > 0) == (found.pauses > 0) == (found.cooling_s > 0.0)
     assert found.pauses < trials
+
+
+def test_a_rehearsal_costs_by_its_ticks(plan: StudyPlan, schemes: Protocol) -> None:
+    ticks = 20_000 * plan.trial.recorded * (plan.trials.likely - plan.practice)
+    assert plan.rehearsal_s.likely == pytest.approx(REHEARSED_TICK_S * ticks)

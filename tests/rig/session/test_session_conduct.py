@@ -430,6 +430,7 @@ def test_a_trial_that_was_left_out_comes_again_when_the_session_is_resumed(tmp_p
     last = state.trials[-1]
     amend(tmp_path / "P01", event_of_trial(tmp_path / "P01", last.trial, "void"), "void", "the wrong hand")
     session = resume(tmp_path / "P01", clock=Day())
+    assert (state.stopped, session.state.stopped) == ("the operator left", None)
     state = run_with(session, FakeRunner(), ScriptedDesk())
     assert state.trials[last.trial].stiffness == last.stiffness
     assert state.ended == "complete"
@@ -467,6 +468,16 @@ def test_impossible_corrections_are_refused(
     before = (tmp_path / "P01" / LOG).read_bytes()
     with pytest.raises(ConfigError, match=reason):
         amend(tmp_path / "P01", number, value, why)
+    assert (tmp_path / "P01" / LOG).read_bytes() == before
+
+
+def test_a_participant_has_one_session(tmp_path: Path) -> None:
+    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
+    before = (tmp_path / "P01" / LOG).read_bytes()
+    with pytest.raises(ConfigError, match="already contains a session"):
+        started(tmp_path / "P01")
+    with pytest.raises(ConfigError, match="has ended"):
+        resume(tmp_path / "P01")
     assert (tmp_path / "P01" / LOG).read_bytes() == before
 
 

@@ -27,7 +27,7 @@ from rig.session.terminal._keyboard import Keyboard
 from rig.session.terminal._live import LiveLoop, Snapshot, snapshot_of
 from rig.session.terminal._messages import MessageReader, line_of
 from rig.session.terminal._plain import PlainLines
-from rig.session.terminal._pointer import Pointer
+from rig.session.terminal._pointer import HandKind, Pointer
 
 KEYMAP = KeyMap.of(Keys())
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
@@ -529,6 +529,26 @@ def test_the_pointer_reaches_from_behind_the_start_into_the_wall(scale: dict[str
     position, press = pointer.intention
     assert abs(position - wall) < 0.75 * abs(wall - start)
     assert 0.0 < press < 4.0
+
+
+@pytest.mark.parametrize(
+    ("hand", "texts"),
+    [
+        ("keyboard", ["[left] [right] a step", "[end] into the wall"]),
+        ("mouse", ["mouse to the right", "full press"]),
+    ],
+)
+def test_the_keys_name_what_moves_the_hand(hand: HandKind, texts: list[str]) -> None:
+    conversation, printer = Conversation(KEYMAP, hand), PlainLines()
+    first = printer.lines(conversation, None, 0.0)
+    assert words.always(conversation) in first
+    assert all(part in first[0] for part in texts)
+    assert words.always(conversation) not in printer.lines(conversation, SNAPSHOT, 1.0)
+    conversation.press("?")
+    (page,) = printer.lines(conversation, SNAPSHOT, 2.0)
+    assert all(f"{key}: {meaning}" in page for key, meaning in words.help_pairs(conversation))
+    assert "press" in page
+    assert "hand:" not in PlainLines().lines(Conversation(KEYMAP), None, 0.0)[0]
 
 
 # Messages

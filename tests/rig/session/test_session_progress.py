@@ -61,3 +61,11 @@ def test_without_a_terminal_events_are_lines_and_the_time_is_printed_once(printe
         "True   trial 4 of about 104, block 2 of 5, about 50 s left",
         "True   paused: requested by the operator",
     ]
+
+
+def test_a_quiet_rehearsal_prints_nothing(printed_lines: list[str]) -> None:
+    with Rehearsed(quiet=True) as seen:
+        for trial in range(1, 8):
+            seen.looks(ready_view(trial))
+        seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
+    assert printed_lines == []
