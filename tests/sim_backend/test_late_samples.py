@@ -31,12 +31,6 @@ DUAL = config.override(presets.load("koul-rigid"), BRIEF)
 MOST = 4000
 
 
-def test_the_newest_sample_is_the_last_that_came_and_a_line_keeps_the_order() -> None:
-    assert ages(np.array([0, LOST, LOST, 0, 0])).tolist() == [0, 1, 2, 0, 0]
-    assert ages(np.array([0, 2, 0, 0, 0])).tolist() == [0, 1, 2, 0, 0], "one late sample is a gap"
-    assert ages(np.array([0, 1, 1, 1, 0])).tolist() == [0, 1, 1, 1, 0]
-
-
 def over_bytes(experiment: Any, path: Path, delays: Any, first_frame: int) -> Any:
     """Return the rows of a run over the byte link whose STATE frames from `first_frame` on are lost or late."""
     faults = tuple(
