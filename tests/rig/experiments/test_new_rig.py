@@ -131,6 +131,17 @@ def test_an_impossible_answer_is_refused_with_the_allowed_ones(answers: dict[str
     assert refused.value.remedy
 
 
+@pytest.mark.exhaustive("::test_a_motor_that_friction_holds_is_refused")
+def test_assumed_friction_that_holds_the_carriage_is_refused_with_the_value_to_measure() -> None:
+    strong = {
+        "mechanism": "linear-motor", "nominal_current": 9.12, "force_constant": 13.6, "encoder_resolution": 2.66e-7,
+        "carriage_mass": 0.0534,
+    }  # fmt: skip
+    with pytest.raises(PlanError, match=r"reduce the friction, 6.2 N; .* give the measured `friction`"):
+        rig.new_rig(**strong)
+    assert make_plan(rig.new_rig(**strong, friction=1.0).experiment).ok
+
+
 def test_a_motor_that_friction_holds_is_refused() -> None:
     with pytest.raises(PlanError, match="friction") as refused:
         rig.new_rig(**LEVER, friction=20.0)
