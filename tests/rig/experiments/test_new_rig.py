@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
@@ -209,17 +209,25 @@ SHEETS = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=1)
-@example(COARSE_AND_LIGHT)
+def test_the_first_hit_of_a_coarse_and_light_rig_is_planned_and_reaches_its_wall(tmp_path: Path) -> None:
+    check_first_hit(COARSE_AND_LIGHT, tmp_path)
+
+
+@pytest.mark.exhaustive("::test_the_first_hit_of_a_coarse_and_light_rig_is_planned_and_reaches_its_wall")
+@settings(max_examples=5)
 @given(SHEETS)
 def test_the_first_hit_of_any_rig_is_planned_and_reaches_its_wall(answers: dict[str, Any]) -> None:
     with TemporaryDirectory() as directory:
-        made = rig.new_rig(Path(directory) / "own.toml", **answers)
-        x = rig.load(Path(directory) / "own.toml")
-        behind_a_port = plan_of(prepare_controller(rig.config.with_realtime(x)), linked=True)
-        assert make_plan(x).ok, made.text
-        assert behind_a_port.ok, made.text
-        result = rig.hit(x, output=directory)
-        rows = result.recording.rows
-        assert (rows["position"][rows["phase"] == Phase.TRIAL] > x.wall.position).any(), made.text
-        assert result.verdict.kind in (Kind.STABLE, Kind.LIMIT_CYCLE), made.text
+        check_first_hit(answers, Path(directory))
+
+
+def check_first_hit(answers: dict[str, Any], directory: Path) -> None:
+    made = rig.new_rig(directory / "own.toml", **answers)
+    x = rig.load(directory / "own.toml")
+    behind_a_port = plan_of(prepare_controller(rig.config.with_realtime(x)), linked=True)
+    assert make_plan(x).ok, made.text
+    assert behind_a_port.ok, made.text
+    result = rig.hit(x, output=directory)
+    rows = result.recording.rows
+    assert (rows["position"][rows["phase"] == Phase.TRIAL] > x.wall.position).any(), made.text
+    assert result.verdict.kind in (Kind.STABLE, Kind.LIMIT_CYCLE), made.text
