@@ -1,10 +1,11 @@
-"""The tick of the Pico (whole binary): its times, its duration, and the device's report of them."""
+"""The tick of the Pico (whole binary): its times, its duration, the device's report of them, and its serial line."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from tests.firmware.rp2040.emulator import CLOCK_HZ
 from tests.firmware.rp2040.session import Session
@@ -15,6 +16,7 @@ MOST_POLL = (
     1_400  # cycles, 7 µs: as long a request of the host is taken, behind a tick, with interrupts masked
 )
 UNITS_A_SECOND = 16_000_000
+BAUD = 3_000_000
 
 
 @pytest.mark.parametrize("rate", [100, 1_000, 7_000, 20_000, 27_000, 50_000])
@@ -117,3 +119,24 @@ def test_ticks_that_a_long_request_has_held_up_are_counted(powered: Powered) -> 
     time = np.array([state.device_time for state in states]) / UNITS_A_SECOND
     index = np.array([state.sample_index for state in states])
     assert np.all(np.abs(np.diff(time) - np.diff(index) / 50_000) < 25e-6), "no tick without its number"
+
+
+# ---------------------------------------------------------------------- beside the serial line
+
+
+def test_the_line_runs_at_the_rate_that_was_asked_for(powered: Powered) -> None:
+    # A PL011 requires both ends within 2 %; a USB adapter has an exact rate.
+    assert powered().pico.look()["baud"] == pytest.approx(BAUD, rel=0.003)
+
+
+def test_flood_of_a_host_does_not_stop_the_tick(powered: Powered) -> None:
+    session = powered()
+    session.configure(position_rate=20_000)
+    session.ticks()
+    session.pico.send(bytes(range(1, 256)) * 20 + b"\0")
+    session.listen(0.02)
+    ticks = session.ticks()
+    assert np.ptp(np.diff(ticks.at)) <= JITTER
+    statistics = session.host.ask(m.GetStatistics(session.host.nonce()))
+    assert statistics.framing_errors > 0
+    assert session.pico.look()["overruns"] == 0
