@@ -263,7 +263,7 @@ ROWS = (
     Row("serve odrive",
         "tests/extras/drives/test_bridge_process.py::test_an_odrive_gets_no_torque_when_its_bridge_is_killed", "",
         "", (("can0", 2, "--endpoints"),)),
-    Row("serve lsl", "tests/extras/lsl/test_lsl.py::test_an_ended_session_leaves_no_process_and_says_what_was_sent", "",
+    Row("serve lsl", "tests/extras/lsl/test_lsl.py::test_markers_of_a_session_are_its_log_without_the_walls", "",
         "", (("--rate 0", 2, "rate"),)),
     Row("serve docs", "tests/system/test_docs.py::test_a_site_is_built", "", "",
         (("extra", 2, "unexpected extra argument"),)),
