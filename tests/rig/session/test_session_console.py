@@ -391,7 +391,7 @@ def test_a_blinded_effort_is_a_word(share: float, saturated: bool) -> None:
     limit = SCALE["effort_limit"]
     assert isinstance(limit, float)
     live = replace(SNAPSHOT, peak_effort=share * limit, effort=share * limit, saturated=saturated)
-    gauge = words.effort(DeskView(state="hit", scale=SCALE), live)
+    gauge = words.gauges(DeskView(state="hit", scale=SCALE), live)[words.GAUGES.index("effort")]
     assert gauge.text in ("low", "half", "near the limit", "saturated")
     assert gauge.share in (0.1, words.HALF, words.NEAR, 1.0)  # nor is the bar a number
     if saturated:
