@@ -1,0 +1,98 @@
+"""Commands that SIGKILL ends at a random moment: their recordings are recovered, and run again they end as ever."""
+
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.recording.reader import open_recording
+
+SHORT = ("--set", "trial.release_s=0.02", "--set", "verdict.tail_s=0.1", "--set", "homing.settle_s=0.02")
+COMMANDS = {
+    "hit": ("hit", "--duration", "0.5", "--repeats", "3", "--seed", "5", *SHORT),
+    "zwidth": ("zwidth", "--ratio", "3", "-B", "0.1,0.3", "--offsets", "0.1", "--workers", "1", *SHORT),
+    "identify": ("identify", "--rig", "chawda-linear", "--realisations", "2", "--period", "0.25"),
+}
+KILLS = 3
+HEADER_BYTES = 40_000  # a longer capture has rows
+FITTED = ("sampled_at", "applied_at")  # by all exchanges of the clocks, of which a kill leaves fewer
+TIME = re.compile(r"-\d{8}-\d{6}-")
+NAMES = re.compile(r"\S+\.parquet")  # of recordings: they have a time of day
+VOLATILE = {
+    *("recording", "recordings", "directory", "picture", "file", "messages"),
+    *("seconds", "created", "host", "plan", "elapsed_s"),
+}
+AN_HOUR_AGO = time.time() - 3600.0  # a capture that has just been written may belong to a running loop
+
+
+def start(arguments: tuple[str, ...], directory: Path) -> subprocess.Popen[str]:
+    directory.mkdir(exist_ok=True)
+    command = [sys.executable, "-P", "-m", "rig", *arguments]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        command, cwd=directory, stdout=pipe, stderr=pipe, stdin=subprocess.DEVNULL, text=True
+    )
+
+
+def output_of(process: subprocess.Popen[str]) -> str:
+    out, err = process.communicate(timeout=120.0)
+    assert process.returncode == 0, err
+    return out
+
+
+def facts(value: Any) -> Any:
+    """Return a JSON value without paths and times."""
+    if isinstance(value, dict):
+        return {key: facts(inner) for key, inner in value.items() if key not in VOLATILE}
+    if isinstance(value, list):
+        return [facts(inner) for inner in value]
+    return NAMES.sub("", value) if isinstance(value, str) else value
+
+
+def rows_by_name(directory: Path) -> dict[str, Any]:
+    """Return the rows of each recording by its file's name without the time of day."""
+    recordings = {TIME.sub("-", path.stem): path for path in directory.rglob("recordings/*.parquet")}
+    return {name: open_recording(path).rows for name, path in recordings.items()}
+
+
+@pytest.mark.exhaustive(
+    "tests/rig/recording/test_recording_recorder.py::test_rows_reach_the_file_while_the_loop_runs"
+)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_killed_command_is_recovered_and_ends_as_ever_when_run_again(name: str, tmp_path: Path) -> None:
+    command = (*COMMANDS[name], "--no-plot", "--json")
+    output_of(start(command, tmp_path / "warm"))  # compiles what the command needs
+    began = time.monotonic()
+    expected = facts(json.loads(output_of(start(command, tmp_path / "whole"))))
+    seconds = time.monotonic() - began
+    whole = rows_by_name(tmp_path / "whole")
+    here = tmp_path / "here"
+    drawn = random.Random(name)
+    for _ in range(KILLS):
+        process = start(command, here)
+        time.sleep(drawn.uniform(0.3, 0.95) * seconds)  # before, it only imports
+        process.kill()
+        process.communicate(timeout=60.0)
+        assert process.returncode in {-signal.SIGKILL, 0}, "a quick machine may have ended it before"
+        for capture in here.rglob("*.rigcap"):
+            os.utime(capture, (AN_HOUR_AGO, AN_HOUR_AGO))
+        recovering = start(("recording", "recover", "."), here)
+        _, err = recovering.communicate(timeout=60.0)
+        unreadable = list(here.rglob("*.rigcap"))
+        assert recovering.returncode == (9 if unreadable else 0), err
+        for capture in unreadable:  # killed while it wrote the header: nothing had moved
+            assert capture.name in err
+            assert capture.stat().st_size < HEADER_BYTES
+            capture.unlink()
+        for recording, rows in rows_by_name(here).items():  # a map has none, but a journal
+            for column in set(rows.dtype.names) - set(FITTED):
+                assert rows[column].tobytes() == whole[recording][column][: len(rows)].tobytes()
+    assert facts(json.loads(output_of(start(command, here)))) == expected
