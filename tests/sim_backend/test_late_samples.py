@@ -28,7 +28,6 @@ from tests.conformance.trials import CURRENTS, trial_on
 BRIEF = {"trial.duration_s": 0.15, "trial.release_s": 0.003, "homing.settle_s": 0.003, "verdict.tail_s": 0.05}
 SLOW = config.override(config.with_realtime(presets.load("koul-compliant")), BRIEF)
 DUAL = config.override(presets.load("koul-rigid"), BRIEF)
-MOST = 4000
 
 
 def over_bytes(experiment: Any, path: Path, delays: Any, first_frame: int) -> Any:
