@@ -30,20 +30,13 @@ from rig.experiments.mapping._searches import boundary_search, connected, drive,
 from rig.experiments.mapping.table_one import PAPER, FrequencyWidth, Spread, table_one, tuned_numbers
 from rig.experiments.mapping.zwidth_frequency import TOGETHER, FrequencyMap
 from rig.views.plots._zwidth_frequency import frequency_figure
+from tests.rig.experiments.test_impedance_run import LINEAR as LINEAR_RIG
 from tests.rig.views.conftest import check_axes
 
 CHAWDA = presets.load("chawda-linear")
-# Without friction, with an encoder and a current that are fine enough to be none.
 LINEAR = config.override(
-    CHAWDA,
-    {
-        "rig.mechanics.motor_coulomb": 0.0, "rig.encoder.quantum": 1e-12, "rig.amplifier.current_quantum_a": 1e-7,
-        "rig.amplifier.effort_per_ampere": 100.0, "rig.amplifier.effort_limit": 0.3, "rig.limits.effort": 0.3,
-        "rig.limits.nominal_effort": 0.3, "homing.effort": 0.1, "trial.effort": 0.1,
-        "trial.minimum_rest_counts": 0.0, "excitation.rms": 0.02, "excitation.periods": 2,
-        "excitation.settle_periods": 6, "excitation.realisations": 1,
-    },
-)  # fmt: skip
+    CHAWDA, LINEAR_RIG | {"excitation.high_hz": 250.0, "excitation.rms": 0.02, "excitation.periods": 2}
+)
 SHORT = config.override(
     CHAWDA, {"excitation.periods": 2, "excitation.settle_periods": 1, "excitation.realisations": 2}
 )
