@@ -112,13 +112,9 @@ def test_without_a_wall_the_handle_goes_anywhere() -> None:
     json.dumps(plain(plan), allow_nan=False)
 
 
-def values_around(value: Any) -> Any:
-    return value * 0.99, value * 1.01
-
-
 def test_impact_velocity_against_the_speed_limit() -> None:
     velocity = highest_reading(COMPLIANT, predict_impact(COMPLIANT).velocity)
-    low, high = values_around(velocity)
+    low, high = 0.99 * velocity, 1.01 * velocity
     assert check(change({"rig.limits.speed": high}), "impact velocity").outcome == Outcome.OK
     refused = check(change({"rig.limits.speed": low}), "impact velocity")
     assert refused.outcome == Outcome.REFUSED
@@ -129,7 +125,7 @@ def test_impact_velocity_against_the_speed_limit() -> None:
 @pytest.mark.parametrize("side", [1, -1])
 def test_peak_penetration_against_the_window(side: int) -> None:
     peak = predict_impact(COMPLIANT).peak_penetration
-    low, high = values_around(peak)
+    low, high = 0.99 * peak, 1.01 * peak
     mirror = {"wall.side": side, "trial.effort": side * 0.15, "trial.start": -0.015 * side}
     edge = "rig.limits.position_maximum" if side > 0 else "rig.limits.position_minimum"
     assert check(change({**mirror, edge: side * high}), "peak penetration").outcome == Outcome.OK
@@ -141,7 +137,8 @@ def test_peak_penetration_against_the_window(side: int) -> None:
 def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
     """A hit that saturates spoils its measurement but is not dangerous."""
     base = {"rig.limits.override_stall": True, "wall.stiffness": 200.0}
-    low, high = values_around(predict_impact(change(base)).peak_effort)
+    peak = predict_impact(change(base)).peak_effort
+    low, high = 0.99 * peak, 1.01 * peak
     assert check(change({**base, "rig.limits.effort": high}), "peak effort").outcome == Outcome.OK
     warned = change({**base, "rig.limits.effort": low})
     assert check(warned, "peak effort").outcome == Outcome.WARNING
@@ -150,7 +147,7 @@ def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
 
 def test_resting_penetration_against_the_least_counts() -> None:
     counts = COMPLIANT.trial.effort / COMPLIANT.wall.stiffness / COMPLIANT.rig.encoder.resolution
-    low, high = values_around(counts)
+    low, high = 0.99 * counts, 1.01 * counts
     name = "resting penetration"
     assert check(change({"trial.minimum_rest_counts": low}), name).outcome == Outcome.OK
     # A file that asks for it is refused even earlier.
