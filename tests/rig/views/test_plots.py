@@ -120,30 +120,12 @@ def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording
     np.testing.assert_allclose(sent[pushed], push + wall.get_ydata()[pushed], atol=0.501 * quantum)
 
 
-def test_the_title_has_rig_verdict_wall_and_rates(recording: Any) -> None:
-    title = hit_figure(recording)._suptitle.get_text()
-    for words in (
-        "koul-compliant",
-        "K = 300 N·m/rad",
-        "B = ",
-        "dual-rate 20/",
-        "fdm-butterworth",
-        "finished",
-    ):
-        assert words in title
+def test_the_title_has_rig_and_verdict(recording: Any) -> None:
+    assert "koul-compliant" in hit_figure(recording)._suptitle.get_text()
     verdict = {"kind": "limit cycle", "reasons": ["heard"]}
     judged = replace(recording, trailer={**recording.trailer, "verdict": verdict})
     assert "limit cycle: heard" in hit_figure(judged)._suptitle.get_text()
     assert "not finished" in hit_figure(replace(recording, trailer=None))._suptitle.get_text()
-
-
-def test_the_wall_is_shaded_on_its_side(recording: Any) -> None:
-    for side in (1, -1):
-        experiment = {**recording.experiment, "wall": {**recording.experiment["wall"], "side": side}}
-        mirrored = replace(recording, header={**recording.header, "experiment": experiment})
-        for column in panels(hit_figure(mirrored)):
-            (wall,) = column[0].patches
-            assert (wall.get_path().get_extents(wall.get_patch_transform()).y0 == 0.0) == (side == 1)
 
 
 def test_saturation_and_gaps_are_marked(recording: Any) -> None:
@@ -157,19 +139,6 @@ def test_saturation_and_gaps_are_marked(recording: Any) -> None:
     flags = recording.rows["flags"].copy()
     flags[-3000::100] |= int(RowFlag.SATURATED | RowFlag.GAP)
     assert words <= marks(changed(recording, flags=flags))
-
-
-def test_impact_and_whole_push_have_one_scale(recording: Any) -> None:
-    """A handle that is thrown far later on must not change the unit: the panels share their axis."""
-    thrown = recording.rows["position"].copy()
-    thrown[-1500:] = -0.7
-    verdict = {"kind": "unstable", "reasons": [], "settling_s": 0.03}
-    late = replace(changed(recording, position=thrown), trailer={**recording.trailer, "verdict": verdict})
-    impact, push = panels(hit_figure(late))
-    assert impact[0].get_ylabel() == "position (rad)"
-    earlier, whole = (line(column[0], "measured").get_ydata() for column in (impact, push))
-    assert len(earlier) < len(whole) - 1000
-    np.testing.assert_array_equal(earlier, whole[: len(earlier)])
 
 
 # ---------------------------------------------------------------------- recordings that are not whole
