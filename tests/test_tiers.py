@@ -22,7 +22,7 @@ def test_a_relative_exists_and_is_run_by_default(file: str, relative: str) -> No
     place, _, name = relative.partition("::")
     text = (ROOT / (place or file)).read_text(encoding="utf-8")
     assert not re.search(r"^pytestmark = .*exhaustive", text, re.MULTILINE), "all of it is exhaustive"
-    before, found, _ = text.partition(f"\ndef {name}(")
+    before, *found = re.split(rf"\n(?:async )?def {name}\(", text, maxsplit=1)
     assert found, f"{file} names {relative}, which is not there"
     assert "mark.exhaustive" not in f"{before}\n".rpartition("\n\n\n")[2]
 

@@ -14,27 +14,24 @@ from rig.extras.console.errands import Errands
 
 
 @pytest.mark.exhaustive("::test_no_more_processes_than_there_is_room_for")
-def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path: Path) -> None:
-    async def body() -> None:
-        errands = Errands()
-        try:
-            asked = {"directory": str(tmp_path), "search": "", "first": 0}
-            assert await errands.run("recordings", **asked) == ({"recordings": [], "more": False}, b"")
-            with pytest.raises(RigError, match="'exe' is not an export format"):
-                await errands.run("export", path="nowhere", form="exe")
-            (process,) = errands._all
-            os.kill(process.pid, 9)
-            with pytest.raises(RigError, match="the background process for 'recordings' ended"):
-                await errands.run("recordings", **asked)
-            assert (errands._idle, errands._all) == ([], set())  # the next one gets another
-        finally:
-            await errands.close()
-        assert process.returncode is not None
-
-    asyncio.run(body())
+async def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path: Path) -> None:
+    errands = Errands()
+    try:
+        asked = {"directory": str(tmp_path), "search": "", "first": 0}
+        assert await errands.run("recordings", **asked) == ({"recordings": [], "more": False}, b"")
+        with pytest.raises(RigError, match="'exe' is not an export format"):
+            await errands.run("export", path="nowhere", form="exe")
+        (process,) = errands._all
+        os.kill(process.pid, 9)
+        with pytest.raises(RigError, match="the background process for 'recordings' ended"):
+            await errands.run("recordings", **asked)
+        assert (errands._idle, errands._all) == ([], set())  # the next one gets another
+    finally:
+        await errands.close()
+    assert process.returncode is not None
 
 
-def test_a_reply_that_is_too_long_is_an_error_and_ends_its_process(
+async def test_a_reply_that_is_too_long_is_an_error_and_ends_its_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sent, "LINE_BYTES", 10)
@@ -45,19 +42,16 @@ def test_a_reply_that_is_too_long_is_an_error_and_ends_its_process(
 
     monkeypatch.setattr(asyncio, "create_subprocess_exec", writes_much)
 
-    async def body() -> None:
-        errands = Errands()
-        try:
-            with pytest.raises(RigError, match="'recordings' is longer than 10 bytes"):
-                await errands.run("recordings", directory=str(tmp_path), search="", first=0)
-            assert errands._all == set()
-        finally:
-            await errands.close()
-
-    asyncio.run(body())
+    errands = Errands()
+    try:
+        with pytest.raises(RigError, match="'recordings' is longer than 10 bytes"):
+            await errands.run("recordings", directory=str(tmp_path), search="", first=0)
+        assert errands._all == set()
+    finally:
+        await errands.close()
 
 
-def test_no_more_processes_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_no_more_processes_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[object] = []
 
     async def start(errands: Errands) -> object:
@@ -71,10 +65,7 @@ def test_no_more_processes_than_there_is_room_for(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Errands, "_start", start)
     monkeypatch.setattr(sent, "_request", asked)
 
-    async def body() -> None:
-        errands = Errands()
-        done = await asyncio.gather(*(errands.run("map") for _ in range(3 * sent.MOST)))
-        assert {id(process) for process, _ in done} == {id(process) for process in started}
-
-    asyncio.run(body())
+    errands = Errands()
+    done = await asyncio.gather(*(errands.run("map") for _ in range(3 * sent.MOST)))
+    assert {id(process) for process, _ in done} == {id(process) for process in started}
     assert len(started) == sent.MOST

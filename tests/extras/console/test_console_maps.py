@@ -246,20 +246,17 @@ def test_a_job_names_its_directory_once_it_is_there_and_ends_with_it(tmp_path: P
     assert map_errands.growth(str(tmp_path / named), 0)["state"] == "finished"
 
 
-def test_only_the_operating_page_starts_and_ends_maps_and_no_page_chooses_a_program(root: Path) -> None:
-    async def body() -> None:
-        common = shared(root / "recordings")
-        service = MapService(common)
-        with pytest.raises(ConfigError, match=r"wall\.law cannot be changed from a page"):
-            await ask(service, Page("operator"), "map-run", changes={"wall.law": "x"})
-        with pytest.raises(ConfigError, match="no map started by this console"):
-            await ask(service, Page("operator"), "map-end")
-        for do in ("map-run", "map-end"):
-            with pytest.raises(ConfigError, match="another page operates"):
-                await ask(service, Page("another"), do)
-        assert common.jobs.running is None
-
-    run(body)
+async def test_only_the_operating_page_starts_and_ends_maps_and_no_page_chooses_a_program(root: Path) -> None:
+    common = shared(root / "recordings")
+    service = MapService(common)
+    with pytest.raises(ConfigError, match=r"wall\.law cannot be changed from a page"):
+        await ask(service, Page("operator"), "map-run", changes={"wall.law": "x"})
+    with pytest.raises(ConfigError, match="no map started by this console"):
+        await ask(service, Page("operator"), "map-end")
+    for do in ("map-run", "map-end"):
+        with pytest.raises(ConfigError, match="another page operates"):
+            await ask(service, Page("another"), do)
+    assert common.jobs.running is None
 
 
 @pytest.mark.parametrize(

@@ -306,20 +306,17 @@ def test_a_recording_of_a_map_on_a_device_is_found_with_its_map(output: Path) ->
     assert {"fdm", "kalman"} <= set(facts["estimators"])
 
 
-def test_nothing_is_deleted_a_recording_moves_with_its_picture_and_comes_back(output: Path) -> None:
+async def test_nothing_is_deleted_a_recording_moves_with_its_picture_and_comes_back(output: Path) -> None:
     kept = {name: (output / name).read_bytes() for name in ("one.parquet", "one.png")}
     trash = output / TRASH
 
-    async def body() -> None:
-        service, page = Recordings(shared(output)), Page()
-        await ask(service, page, "throw-away", name="one.parquet")
-        assert {path.name: path.read_bytes() for path in trash.iterdir()} == kept
-        assert [path.name for path in output.iterdir()] == [TRASH]
-        listed = await ask(service, page, "recordings", trash=True)
-        assert [one["name"] for one in listed["recordings"]] == ["one.parquet"]
-        await ask(service, page, "restore", name="one.parquet")
-
-    run(body)
+    service, page = Recordings(shared(output)), Page()
+    await ask(service, page, "throw-away", name="one.parquet")
+    assert {path.name: path.read_bytes() for path in trash.iterdir()} == kept
+    assert [path.name for path in output.iterdir()] == [TRASH]
+    listed = await ask(service, page, "recordings", trash=True)
+    assert [one["name"] for one in listed["recordings"]] == ["one.parquet"]
+    await ask(service, page, "restore", name="one.parquet")
     assert {path.name: path.read_bytes() for path in output.iterdir() if path.is_file()} == kept
     assert list(trash.iterdir()) == []
 
@@ -335,16 +332,13 @@ def test_a_file_that_is_no_recording_is_out_of_reach_of_a_page(name: str, do: st
     assert (place / name).read_bytes() == b"another file"
 
 
-def test_neither_way_goes_over_a_file_of_that_name(output: Path) -> None:
-    async def body() -> None:
-        service, page = Recordings(shared(output)), Page()
-        await ask(service, page, "throw-away", name="one.parquet")
-        (output / "one.parquet").write_bytes(b"another")
-        with pytest.raises(RecordingError, match="exists"):
-            await ask(service, page, "restore", name="one.parquet")
-        await ask(service, page, "throw-away", name="one.parquet")
-
-    run(body)
+async def test_neither_way_goes_over_a_file_of_that_name(output: Path) -> None:
+    service, page = Recordings(shared(output)), Page()
+    await ask(service, page, "throw-away", name="one.parquet")
+    (output / "one.parquet").write_bytes(b"another")
+    with pytest.raises(RecordingError, match="exists"):
+        await ask(service, page, "restore", name="one.parquet")
+    await ask(service, page, "throw-away", name="one.parquet")
     assert {path.name for path in (output / TRASH).iterdir()} == {"one.parquet", "one.png", "one-2.parquet"}
     assert (output / TRASH / "one-2.parquet").read_bytes() == b"another"
 
@@ -370,15 +364,12 @@ def test_a_file_that_is_being_recorded_stays(output: Path, monkeypatch: pytest.M
     assert (output / "one.parquet").exists()
 
 
-def test_a_page_that_does_not_operate_moves_nothing(output: Path) -> None:
-    async def body() -> None:
-        service = Recordings(shared(output))
-        await ask(service, Page("operator"), "throw-away", name="one.parquet")
-        for do in ("throw-away", "restore"):
-            with pytest.raises(ConfigError, match="another page operates"):
-                await ask(service, Page("another"), do, name="one.parquet")
-
-    run(body)
+async def test_a_page_that_does_not_operate_moves_nothing(output: Path) -> None:
+    service = Recordings(shared(output))
+    await ask(service, Page("operator"), "throw-away", name="one.parquet")
+    for do in ("throw-away", "restore"):
+        with pytest.raises(ConfigError, match="another page operates"):
+            await ask(service, Page("another"), do, name="one.parquet")
 
 
 def test_a_recording_with_gaps_of_truth_is_cut_where_there_are_numbers(output: Path) -> None:

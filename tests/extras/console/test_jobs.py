@@ -6,7 +6,8 @@ A job here is a small program in place of `rig.extras.console.worker`.
 import asyncio
 import errno
 import sys
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,15 +47,13 @@ class Here:
                 await asyncio.sleep(0.01)
 
 
-def play(program: str, monkeypatch: pytest.MonkeyPatch, body: Callable[[Here], Awaitable[None]]) -> None:
-    async def whole() -> None:
-        here = Here(program, monkeypatch)
-        try:
-            await body(here)
-        finally:
-            await here.jobs.close()
-
-    asyncio.run(whole())
+@asynccontextmanager
+async def jobs_of(program: str, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Here]:
+    here = Here(program, monkeypatch)
+    try:
+        yield here
+    finally:
+        await here.jobs.close()
 
 
 def runs(shared: ServiceContext, hand: SharedHand) -> Runs:
@@ -62,8 +61,8 @@ def runs(shared: ServiceContext, hand: SharedHand) -> Runs:
     return Runs(shared, Live(shared, hand, terminal, own=True), hand, terminal, verified=False)
 
 
-def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def body(here: Here) -> None:
+async def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with jobs_of(WAITS, monkeypatch) as here:
         starting = asyncio.create_task(here.jobs.start("hit", {}))
         await here.begun.wait()
         here.jobs.end()
@@ -71,16 +70,14 @@ def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.Monkey
         await here.wait_for_end()
         assert here.jobs.running is None
 
-    play(WAITS, monkeypatch, body)
 
-
-def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
+async def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_descriptor_left() -> list[Any]:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    async def body(here: Here) -> None:
+    async with jobs_of(WAITS, monkeypatch) as here:
         monkeypatch.setattr("rig.extras.console.live.ask_to_stop", no_descriptor_left)
         await here.jobs.start("hit", {})
         with SharedHand.create(tmp_path / "hand") as hand:
@@ -90,11 +87,9 @@ def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
                 live.stop_all()
         await here.wait_for_end()
 
-    play(WAITS, monkeypatch, body)
 
-
-def test_of_two_jobs_at_once_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def body(here: Here) -> None:
+async def test_of_two_jobs_at_once_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with jobs_of(WAITS, monkeypatch) as here:
         first = asyncio.create_task(here.jobs.start("hit", {}))
         await here.begun.wait()
         with pytest.raises(ConfigError, match="a hit is running"):
@@ -102,13 +97,11 @@ def test_of_two_jobs_at_once_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
         job = await first
         assert here.jobs.running is job
 
-    play(WAITS, monkeypatch, body)
 
-
-def test_a_job_without_an_operator_ends_unless_it_is_detached(
+async def test_a_job_without_an_operator_ends_unless_it_is_detached(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def body(here: Here) -> None:
+    async with jobs_of(WAITS, monkeypatch) as here:
         shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
         with SharedHand.create(tmp_path / "hand") as hand:
             beats = asyncio.create_task(runs(shared, hand).every_beat())
@@ -124,13 +117,11 @@ def test_a_job_without_an_operator_ends_unless_it_is_detached(
             await here.wait_for_end()
             beats.cancel()
 
-    play(WAITS, monkeypatch, body)
 
-
-def test_a_console_that_cannot_watch_ends_its_jobs_also_detached_ones(
+async def test_a_console_that_cannot_watch_ends_its_jobs_also_detached_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def body(here: Here) -> None:
+    async with jobs_of(WAITS, monkeypatch) as here:
         monkeypatch.setattr(Lease, "expire", lambda _: {}["a defect"])
         await here.jobs.start("hit", {}, is_detached=True)
         with SharedHand.create(tmp_path / "hand") as hand:
@@ -139,10 +130,8 @@ def test_a_console_that_cannot_watch_ends_its_jobs_also_detached_ones(
                 await runs(shared, hand).every_beat()
         await here.wait_for_end()
 
-    play(WAITS, monkeypatch, body)
 
-
-def test_output_that_is_no_message_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_output_that_is_no_message_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     """A library may print anything on either stream; the job continues to its end."""
     noise = "print('42'); print('null'); print('[]'); print('{}'); print('{\"say\": 1}')"
     program = (
@@ -150,18 +139,19 @@ def test_output_that_is_no_message_is_ignored(monkeypatch: pytest.MonkeyPatch) -
         'print(\'{"say": "up"}\', flush=True)'
     )
 
-    async def body(here: Here) -> None:
+    async with jobs_of(program, monkeypatch) as here:
         await here.jobs.start("hit", {})
         await here.wait_for_end()
         up, failed, ended = here.messages
         assert (up, ended) == ({"say": "up"}, {"say": "ended"})
         assert failed["remedy"] == "the last word"
 
-    play(program, monkeypatch, body)
 
+async def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with jobs_of(
+        'import time; print(\'{"say": "up"}\', flush=True); time.sleep(60)', monkeypatch
+    ) as here:
 
-def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def body(here: Here) -> None:
         def tell(job: Job, message: Mapping[str, Any]) -> None:
             here.messages.append(dict(message))
             if message["say"] == "up":
@@ -174,18 +164,16 @@ def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> 
         assert "a defect" in here.messages[1]["error"]
         assert not Path(f"/proc/{job.pid}").exists()
 
-    play('import time; print(\'{"say": "up"}\', flush=True); time.sleep(60)', monkeypatch, body)
-
 
 IMPORTS = 'print(\'{"say": "progress"}\', flush=True)\nimport time\ntime.sleep(60)'
 
 
-def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """The report has neither an exit code nor a line of a traceback, as for a job that handles the interrupt."""
 
     failed: list[dict[str, Any]] = []
 
-    async def body(here: Here) -> None:
+    async with jobs_of(IMPORTS, monkeypatch) as here:
         await here.jobs.start("hit", {})
         async with asyncio.timeout(PATIENCE_S):
             while {"say": "progress"} not in here.messages:
@@ -193,8 +181,6 @@ def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.
         here.jobs.end()
         await here.wait_for_end()
         failed.extend(one for one in here.messages if one["say"] == "failed")
-
-    play(IMPORTS, monkeypatch, body)
     assert [(one["kind"], one["error"]) for one in failed] == [
         ("StoppedError", "stopped before anything moved")
     ]
