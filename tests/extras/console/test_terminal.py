@@ -4,7 +4,8 @@ import asyncio
 import os
 import pty
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,27 +25,21 @@ from rig.extras.console.talk import Talk
 from rig.extras.console.terminal import LONGEST, Terminal
 from rig.realtime.hand import SharedHand
 from rig.session.planning._template_files import write_template
-from tests.conformance.console import PATIENCE_S, served, stop_of_this_test
+from tests.conformance.console import served, stop_of_this_test
 from tests.extras.console.console_fakes import CONTENT, Here, Page, ask
 from tests.rig.session.session_fakes import FakeRunner
 
 REAL = "serial:///dev/ttyACM0"
 
 
-def run_at_terminal(
-    monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int], Awaitable[None]]
-) -> None:
-    """Run `body` with a terminal and the descriptor for its operator's input."""
+@asynccontextmanager
+async def at_terminal(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[tuple[Terminal, int]]:
+    """Yield a terminal and the descriptor for its operator's input."""
     person, ours = pty.openpty()
     try:
         with open(ours, encoding="utf-8", closefd=False) as stdin, monkeypatch.context() as patched:
             patched.setattr(sys, "stdin", stdin)
-
-            async def whole() -> None:
-                async with asyncio.timeout(PATIENCE_S):
-                    await body(Terminal(), person)
-
-            asyncio.run(whole())
+            yield Terminal(), person
     finally:
         os.close(person)
         os.close(ours)
@@ -63,18 +58,16 @@ async def asks(terminal: Terminal, *lines: str) -> asyncio.Task[bool]:
     return task
 
 
-def test_the_word_lets_it_be_armed_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def body(terminal: Terminal, person: int) -> None:
+async def test_the_word_lets_it_be_armed_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with at_terminal(monkeypatch) as (terminal, person):
         for typed, lets in ((b"arm\n", True), (b"\n", False), (b"army\n", False), (b"ar\x04", False)):
             answer = await asks(terminal, "it")
             os.write(person, typed)
             assert await answer == lets, typed
 
-    run_at_terminal(monkeypatch, body)
 
-
-def test_a_word_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def body(terminal: Terminal, person: int) -> None:
+async def test_a_word_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with at_terminal(monkeypatch) as (terminal, person):
         os.write(person, b"arm\narm\n")
         await asyncio.sleep(0.05)
         answer = await asks(terminal, "another rig")
@@ -87,30 +80,26 @@ def test_a_word_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> No
         os.write(person, b"\n")
         assert not await answer
 
-    run_at_terminal(monkeypatch, body)
 
-
-def test_a_terminal_obeys_no_page(
+async def test_a_terminal_obeys_no_page(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    async def body(terminal: Terminal, person: int) -> None:
+    async with at_terminal(monkeypatch) as (terminal, _):
         answer = await asks(terminal, "serial:///é\x1b[2J\r\nrig: all is well\x9b\u202e", "and more\n")
         terminal.withdraw()
         assert not await answer
         with pytest.raises(ConfigError, match="more than 2000 characters"):
             await terminal.insist(REAL, ["x" * LONGEST, "y"])
-
-    run_at_terminal(monkeypatch, body)
     shown = capsys.readouterr().out
     assert "serial:///é�[2J��rig: all is well��\nrig:   and more�\nrig: are all hands clear" in shown
     assert "xxx" not in shown
 
 
 @pytest.mark.parametrize("event", ["stop", "gone", "another"])
-def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
+async def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
     event: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def body(terminal: Terminal, person: int) -> None:
+    async with at_terminal(monkeypatch) as (terminal, person):
         page = Page()
         shared = ServiceContext(set(), Lease(), Jobs(lambda *_: None), tmp_path, Here())
         with SharedHand.create(tmp_path / "hand") as hand:
@@ -135,15 +124,13 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
                 await wanted
             assert shared.jobs.running is None
 
-    run_at_terminal(monkeypatch, body)
 
-
-def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
+async def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Both show the rig, its changes, the duration, if it continues without a page, and the same digest."""
 
-    async def body(terminal: Terminal, person: int) -> None:
+    async with at_terminal(monkeypatch) as (terminal, person):
         page, started = Page(), list[dict[str, Any]]()
 
         class Starts(Jobs):
@@ -173,8 +160,6 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
         assert f"experiment {content['digest']}" in text
         with pytest.raises(ConfigError, match="has changed since the operator agreed to it"):
             hits.hit({**content, "changes": {"wall.stiffness": 56}}, Talk(is_detached=False))
-
-    run_at_terminal(monkeypatch, body)
 
 
 def test_a_resumed_session_has_the_digest_that_it_began_with(
@@ -208,15 +193,18 @@ def test_the_operator_agrees_to_each_exception_of_a_session() -> None:
     assert lines[1] == "consents to: another device than before"
 
 
-def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_console_ends_though_it_waits_for_a_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Errands, "run", Here.run)
     monkeypatch.setattr("rig.extras.console.lease.LOST_S", 1e9)  # this page sends no beats
 
-    async def body(terminal: Terminal, person: int) -> None:
-        async with served(tmp_path, terminal, own=True) as console, console.page() as page:
-            await page.say("run", job="hit", url=REAL)
-            while terminal._asked is None:
-                await asyncio.sleep(0.01)
-            assert "result" in await page.ask("operate", take=True), "requests are served meanwhile"
-
-    run_at_terminal(monkeypatch, body)
+    async with (
+        at_terminal(monkeypatch) as (terminal, _),
+        served(tmp_path, terminal, own=True) as console,
+        console.page() as page,
+    ):
+        await page.say("run", job="hit", url=REAL)
+        while terminal._asked is None:
+            await asyncio.sleep(0.01)
+        assert "result" in await page.ask("operate", take=True), "requests are served meanwhile"
