@@ -101,30 +101,16 @@ def open_pty() -> Iterator[tuple[Wire, int]]:
 
 
 @contextlib.contextmanager
-def connect_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[Wire, int]]:
-    """Yield two connected sockets as a link."""
+def open_socket_pair() -> Iterator[tuple[Wire, int]]:
+    """Yield a link over a pair of stream sockets."""
+    ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.settimeout(1.0)
         port = DescriptorLink(ours.fileno()).port
         yield Wire(ours.fileno(), port, ours.send, ours.recv), theirs.fileno()
 
 
-def open_socket_pair() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
-    """Return a link over a pair of stream sockets."""
-    return connect_sockets(*socket.socketpair())
-
-
-def open_udp() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
-    """Return a link over UDP on the loopback interface, connected in both directions."""
-    ours, theirs = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-    for one in (ours, theirs):
-        one.bind(("127.0.0.1", 0))
-    ours.connect(theirs.getsockname())
-    theirs.connect(ours.getsockname())
-    return connect_sockets(ours, theirs)
-
-
-LINKS = {"pty": open_pty, "socket pair": open_socket_pair, "udp": open_udp}
+LINKS = {"pty": open_pty, "socket pair": open_socket_pair}
 
 
 class Contest:
