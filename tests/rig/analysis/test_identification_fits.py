@@ -23,6 +23,7 @@ from rig.analysis.identification._sliding import Sliding, Stroke, fit_sliding
 from rig.analysis.impedance._signals import ExcitedRun
 from rig.control.excitation import Multisine
 from rig.core.present import plain
+from tests.conformance.tiers import first_by_default
 
 MASS, DAMPING, UP, DOWN = 0.5, 8.0, 0.3, 0.2  # kg, N·s/m, N
 RATE = 1000.0
@@ -297,7 +298,7 @@ def random_rig(seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def stuck_records(rigs: list[dict[str, Any]], realisations: int = 4, steps: int = 20) -> list[list[Any]]:
+def stuck_records(rigs: list[dict[str, Any]], realisations: int, steps: int = 20) -> list[list[Any]]:
     """Return records of rigs with Coulomb friction and stepwise effort, integrated together in small steps."""
     mass, damping, coulomb, lag = (
         np.array([[one[key]] for one in rigs]) for key in ("mass", "damping", "coulomb", "lag")
@@ -333,14 +334,16 @@ def stuck_records(rigs: list[dict[str, Any]], realisations: int = 4, steps: int 
     ]  # fmt: skip
 
 
-@pytest.mark.exhaustive(
-    "tests/rig/experiments/test_identification_run.py::test_the_band_ends_where_the_motion_does_and_the_parameters_are_right"
+@pytest.mark.parametrize(
+    ("seeds", "realisations", "widest"), first_by_default([(range(2, 3), 3, 0.001), (range(10), 4, 0.002)])
 )
-def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag() -> None:
+def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag(
+    seeds: range, realisations: int, widest: float
+) -> None:
     """More in `tests.benchmarks.identified_intervals`."""
-    rigs = [random_rig(seed) for seed in range(10)]
+    rigs = [random_rig(seed) for seed in seeds]
     held, widths = np.zeros(3), []
-    for one, runs in zip(rigs, stuck_records(rigs), strict=True):
+    for one, runs in zip(rigs, stuck_records(rigs, realisations), strict=True):
         sliding = known_sliding(one["coulomb"], one["damping"])
         found = fit_dynamics(
             runs, resolution=one["count"], inertia=0.5, sliding=sliding, damping=sliding.damping
@@ -355,8 +358,8 @@ def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag() -> None:
             for interval, value, more in zip(intervals, true, slack, strict=True)
         ]
         widths.append(found.inertia.ci95 / one["mass"])
-    assert held.min() >= 9, held
-    assert np.median(widths) < 0.002
+    assert held.min() >= 0.9 * len(rigs), held
+    assert np.median(widths) < widest
 
 
 def test_a_known_damping_is_kept(damped: Any) -> None:
