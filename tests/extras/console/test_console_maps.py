@@ -56,18 +56,12 @@ def job_content(**fields: Any) -> dict[str, Any]:
     return asdict(request)
 
 
-def test_a_page_receives_the_plan_then_every_cell_by_criterion(root: Path) -> None:
-    page = Page()
-
-    async def body() -> Any:
-        service = MapService(shared(root / "recordings"))
-        facts = await ask(service, page, "map-watch", map=NAME)
-        while not page.messages:
-            await ask(service, page, "maps")
-        await service.close()
-        return facts
-
-    facts = run(body)
+async def test_a_page_receives_the_plan_then_every_cell_by_criterion(root: Path) -> None:
+    page, service = Page(), MapService(shared(root / "recordings"))
+    facts = await ask(service, page, "map-watch", map=NAME)
+    while not page.messages:
+        await ask(service, page, "maps")
+    await service.close()
     assert (facts["dampings"], facts["ratio"], facts["stripes"]) == (
         [0.0, 0.3], 3.0, ["zero at 0.1 count", "zero at 0.6 count"],
     )  # fmt: skip
@@ -135,14 +129,10 @@ def test_theory_is_sent_along_the_dampings_of_the_map(root: Path) -> None:
     assert min(curve["stiffness"]) > 0.0
 
 
-def test_a_click_on_a_cell_makes_that_hit_a_recording_where_the_others_are(root: Path) -> None:
+async def test_a_click_on_a_cell_makes_that_hit_a_recording_where_the_others_are(root: Path) -> None:
     ((key, rows), *_), _ = read_on(root / "maps" / NAME / maps.JOURNAL)
-
-    async def body() -> Any:
-        service = MapService(shared(root / "recordings"))
-        return await ask(service, Page(), "map-hit", map=NAME, key=key, stiffness=rows[-1]["stiffness"])
-
-    which = run(body)
+    service = MapService(shared(root / "recordings"))
+    which = await ask(service, Page(), "map-hit", map=NAME, key=key, stiffness=rows[-1]["stiffness"])
     assert which["map"] == ""
     opened = open_recording(root / "recordings" / which["name"])
     assert (opened.trailer or {})["verdict"]["peak_penetration"] == rows[-1]["peak_penetration"]

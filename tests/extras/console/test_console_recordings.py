@@ -222,41 +222,34 @@ def test_a_picture_is_given_or_drawn_where_it_is_asked_for(output: Path) -> None
 # Cuts --------------------------------------------------------------------------------------------
 
 
-def test_the_visible_part_of_a_recording_is_saved_as_one(output: Path) -> None:
-    async def body() -> Any:
-        service, page = Recordings(shared(output)), Page("operator")
-        saved = await ask(service, page, "recording-cut", name="one.parquet", first_s=0.05, last_s=0.15)
-        with pytest.raises(RecordingError, match="fewer than 2 rows"):
-            await ask(service, page, "recording-cut", name="one.parquet", first_s=50.0, last_s=60.0)
-        with pytest.raises(ConfigError, match="another page operates"):
-            await ask(service, Page("another"), "recording-cut", name="one.parquet", first_s=0.0, last_s=1.0)
-        return saved, await ask(service, page, "recording", name=saved["name"])
-
-    saved, facts = run(body)
+async def test_the_visible_part_of_a_recording_is_saved_as_one(output: Path) -> None:
+    service, page = Recordings(shared(output)), Page("operator")
+    saved = await ask(service, page, "recording-cut", name="one.parquet", first_s=0.05, last_s=0.15)
+    with pytest.raises(RecordingError, match="fewer than 2 rows"):
+        await ask(service, page, "recording-cut", name="one.parquet", first_s=50.0, last_s=60.0)
+    with pytest.raises(ConfigError, match="another page operates"):
+        await ask(service, Page("another"), "recording-cut", name="one.parquet", first_s=0.0, last_s=1.0)
+    facts = await ask(service, page, "recording", name=saved["name"])
     assert (saved["name"], saved["no_replay"]) == ("one-cut.parquet", "")
     assert (facts["kind"], facts["ended"], facts["rows"]) == (None, "cut", saved["rows"])
     assert facts["cut"]["recording"] == "one.parquet"
     assert facts["length_s"] == pytest.approx(0.1, abs=0.002)
 
 
-def test_a_live_run_is_cut_from_its_recording_once_it_has_ended(output: Path) -> None:
+async def test_a_live_run_is_cut_from_its_recording_once_it_has_ended(output: Path) -> None:
     whole = open_recording(output / "one.parquet")
-
-    async def body() -> Any:
-        page = Page()
-        with SharedHand.create(output / "hand") as hand:
-            live = Live(shared(output), hand, Terminal(), own=True)
-            with pytest.raises(ConfigError, match="no run with a recording"):
-                await ask(live, page, "cut", first_s=0.0, last_s=1.0)
-            seen = SimpleNamespace(ended=False, info={"recording": str(output / "one.rigcap")})
-            live._followed = cast("Followed", seen)
-            with pytest.raises(ConfigError, match="only a part of a complete recording can be saved"):
-                await ask(live, page, "cut", first_s=0.0, last_s=1.0)
-            seen.ended = True
-            live._history.start_ns = int(whole.rows["device_time"][30])  # the first row that we saw
-            return await ask(live, page, "cut", first_s=0.0, last_s=0.1)
-
-    saved = run(body)
+    page = Page()
+    with SharedHand.create(output / "hand") as hand:
+        live = Live(shared(output), hand, Terminal(), own=True)
+        with pytest.raises(ConfigError, match="no run with a recording"):
+            await ask(live, page, "cut", first_s=0.0, last_s=1.0)
+        seen = SimpleNamespace(ended=False, info={"recording": str(output / "one.rigcap")})
+        live._followed = cast("Followed", seen)
+        with pytest.raises(ConfigError, match="only a part of a complete recording can be saved"):
+            await ask(live, page, "cut", first_s=0.0, last_s=1.0)
+        seen.ended = True
+        live._history.start_ns = int(whole.rows["device_time"][30])  # the first row that we saw
+        saved = await ask(live, page, "cut", first_s=0.0, last_s=0.1)
     made = open_recording(output / saved["name"])
     assert made.rows["tick"][0] == 30
     assert made.time_s[-1] == pytest.approx(0.1, abs=0.002)

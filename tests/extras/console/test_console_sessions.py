@@ -299,28 +299,23 @@ def test_protocols_and_sessions_to_resume_are_listed(tmp_path: Path, monkeypatch
 PERSON = {"thresholds": [], "spread": 15.0, "lapse_rate": 0.0, "people_sd": 0.0}
 
 
-def test_a_stop_does_not_end_a_job_that_asks_and_a_console_that_closes_does() -> None:
+async def test_a_stop_does_not_end_a_job_that_asks_and_a_console_that_closes_does() -> None:
     """The job is a process that echoes its input, and ends with it."""
     program = "import sys; print('{\"say\": \"up\"}', flush=True); [print(x, end='', flush=True) for x in sys.stdin]"
-
-    async def closed() -> tuple[list[str], int]:
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-c", program),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        job, lines = Job("session", {}, process, is_detached=False, asks=True), []
-        assert process.stdout is not None
-        lines.append((await process.stdout.readline()).decode())
-        job.end()
-        lines.append((await process.stdout.readline()).decode())
-        assert process.returncode is None
-        await job.close()
-        return lines, await process.wait()
-
-    lines, code = asyncio.run(closed())
-    assert (json.loads(lines[1]), code) == ({"kind": "stop"}, 0)
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-c", program),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    job, lines = Job("session", {}, process, is_detached=False, asks=True), []
+    assert process.stdout is not None
+    lines.append((await process.stdout.readline()).decode())
+    job.end()
+    lines.append((await process.stdout.readline()).decode())
+    assert process.returncode is None
+    await job.close()
+    assert (json.loads(lines[1]), await process.wait()) == ({"kind": "stop"}, 0)
 
 
 def test_a_dragged_hand_is_of_who_operates(page: AtPage) -> None:

@@ -1,6 +1,5 @@
 """Any value in a page's request gives a result or a correctable error, never an internal error."""
 
-import asyncio
 import json
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
@@ -61,7 +60,7 @@ def contents(kind: type[Request]) -> Iterator[str]:
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # where theory has no number
-def test_no_value_in_a_request_is_a_defect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_no_value_in_a_request_is_a_defect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def not_started(*_: Any, **__: Any) -> Any:
         raise ConfigError("nothing is started here", remedy="")
 
@@ -78,28 +77,22 @@ def test_no_value_in_a_request_is_a_defect(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr("rig.extras.console.bounds.MOST_A_SECOND", 1e9)
     monkeypatch.chdir(tmp_path)
     defects: dict[tuple[str, str], str] = {}
-
-    async def whole() -> None:
-        async with served(tmp_path) as console, console.page() as page:
-            number, refused = 0, set()
-            for do, kind in consoles[0]._kinds.items():
-                for content in contents(kind):
-                    number += 1
-                    message = f'{{"do": "{do}", "number": {number}, {content}}}'
-                    try:
-                        request_of(message, consoles[0]._kinds)
-                    except ConfigError:
-                        if do in refused:  # one is sent of each
-                            continue
-                        refused.add(do)
-                    await page.socket.send(message)
-                    answer = await page.until(
-                        lambda page, number=number: page.answer(number) or page.answer(0)
-                    )
-                    if "report it" in str((answer.get("error") or {}).get("remedy")):
-                        defects[do, content[:200]] = answer["error"]["error"]
-                    page.messages.clear()
-            assert number > 100
-
-    asyncio.run(whole())
+    async with served(tmp_path) as console, console.page() as page:
+        number, refused = 0, set()
+        for do, kind in consoles[0]._kinds.items():
+            for content in contents(kind):
+                number += 1
+                message = f'{{"do": "{do}", "number": {number}, {content}}}'
+                try:
+                    request_of(message, consoles[0]._kinds)
+                except ConfigError:
+                    if do in refused:  # one is sent of each
+                        continue
+                    refused.add(do)
+                await page.socket.send(message)
+                answer = await page.until(lambda page, number=number: page.answer(number) or page.answer(0))
+                if "report it" in str((answer.get("error") or {}).get("remedy")):
+                    defects[do, content[:200]] = answer["error"]["error"]
+                page.messages.clear()
+        assert number > 100
     assert not defects, "\n".join(f"{key}: {value}" for key, value in defects.items())
