@@ -191,7 +191,7 @@ def test_an_unknown_rig_or_estimator_is_refused() -> None:
         Ground.of("no-rig")
     entry = Tuned(estimator="two-mass", parameter="frequency_hz", low=40.0, high=2000.0, per_rate=False)
     with pytest.raises(ConfigError, match=r"^unknown estimator 'two-mass'"):
-        measure.measure_rig("chawda-linear", entries=[entry], **{**SMALL, "pairs": ()})
+        measure.measure_rig("chawda-linear", **{**SMALL, "pairs": (), "entries": [entry]})
 
 
 PAIRS = (Pair("fdm"), Pair("disturbance", law=rule.ESTIMATED))
