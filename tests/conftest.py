@@ -32,6 +32,7 @@ from tests.conformance.census import still_there
 RUN = "HAPTIC_RIG_TEST_RUN"  # in the environment of whatever a run of the tests starts
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: as the command line does
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # before pyarrow, whose own pool returns no memory
 # Some images of containers set it: then some hundred processes compile the package, and each worker rewrites the
 # asserts of every file, in every run.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -139,8 +140,12 @@ class Memory:
 
     MUCH_BYTES = 50_000_000
 
+    M_ARENA_MAX = -8  # of mallopt: else each thread of a test leaves an arena of its own behind
+
     def __init__(self) -> None:
-        self._trim = ctypes.CDLL(None).malloc_trim
+        libc = ctypes.CDLL(None)
+        libc.mallopt(self.M_ARENA_MAX, 1)
+        self._trim = libc.malloc_trim
         self._kept = self._resident_bytes()
 
     @staticmethod
