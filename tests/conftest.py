@@ -32,7 +32,7 @@ from tests.conformance.census import still_there
 RUN = "HAPTIC_RIG_TEST_RUN"  # in the environment of whatever a run of the tests starts
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: as the command line does
-os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # before pyarrow, whose own pool returns no memory
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # before pyarrow, whose own keeps all memory
 # Some images of containers set it: then some hundred processes compile the package, and each worker rewrites the
 # asserts of every file, in every run.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -51,7 +51,8 @@ def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(
     """A lab's matplotlibrc, a notebook's style, and a notebook's backend that is not installed here."""
     plain = style.save(a_figure(), tmp_path / "plain.svg").read_bytes()
     (tmp_path / "matplotlibrc").write_text(OUTSIDE)
-    drawing = "from pathlib import Path; from tests.rig.views.conftest import a_figure, style; style.save(a_figure(), Path('theirs.svg'))"
+    imported = "from pathlib import Path; from tests.rig.views.conftest import a_figure, style"
+    drawing = f"{imported}; style.save(a_figure(), Path('theirs.svg'))"
     no_window = "import sys; assert not {'matplotlib.pyplot', 'tkinter'} & set(sys.modules)"
     backend = "module://matplotlib_inline.backend_inline"
     environment = {
