@@ -122,7 +122,8 @@ class CLibrary:
         try:
             done = subprocess.run(
                 command,
-                env={**os.environ, "PATH": installed_path()},
+                # ziglang places its cache in a home, and services have none in their environment.
+                env={"HOME": os.path.expanduser("~"), **os.environ, "PATH": installed_path()},
                 capture_output=True,
                 encoding="utf-8",
                 errors="replace",

@@ -6,6 +6,7 @@ matrix exponentials, parameter blocks, filters of a verdict, limits of linear th
 
 import base64
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -151,7 +152,8 @@ def compile_rig(module: Path) -> bytes:
     sources += [*FIRMWARE.glob("core/*.c"), *FIRMWARE.glob("law/*.c")]
     exports = [f"-Wl,--export={name}" for name in sorted(exported)]
     zig = [sys.executable, "-P", "-m", "ziglang", *COMPILE.split(), *exports]
-    subprocess.run([*zig, "-o", str(module), *sorted(map(str, sources))], check=True)
+    home = {"HOME": str(Path.home()), **os.environ}  # of the compiler's cache
+    subprocess.run([*zig, "-o", str(module), *sorted(map(str, sources))], env=home, check=True)
     return module.read_bytes()
 
 

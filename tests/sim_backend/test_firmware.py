@@ -134,6 +134,7 @@ def test_without_a_compiler_it_says_what_to_install(tmp_path: Path, monkeypatch:
     [
         ("#!/bin/sh\necho 'cannot do this' >&2\nexit 1\n", "cannot do this"),
         ("#!/no/such/thing\n", "cannot start the C compiler"),
+        ('#!/bin/sh\necho "at home in $HOME" >&2\nexit 1\n', "at home in /"),  # ziglang needs one
     ],
 )
 def test_a_compiler_that_fails_is_quoted(
@@ -143,6 +144,7 @@ def test_a_compiler_that_fails_is_quoted(
     compiler.write_text(script)
     compiler.chmod(compiler.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("CC", str(compiler))
+    monkeypatch.delenv("HOME", raising=False)
     with pytest.raises(ConfigError) as caught:
         FIRMWARE.compiled(tmp_path)
     assert text in str(caught.value)
