@@ -40,7 +40,7 @@ def test_a_passive_limit_that_theory_does_not_compute_differs_from_zero() -> Non
 def test_text_and_colours_of_the_limits(limits: Any, text: str, colours: list[str] | None) -> None:
     if shutil.which("node") is None:
         pytest.skip("no JavaScript: install nodejs")
-    script = SCRIPT % (PAGE / "wall.js", json.dumps(limits))
+    script = SCRIPT % ((PAGE / "wall.js").as_uri(), json.dumps(limits))
     command = ["node", "--input-type=module", "--eval", script]
     shown = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     assert shown["text"] == text
