@@ -53,7 +53,7 @@ def highest_reading(experiment: Experiment, velocity: float = 0.0) -> float:
 def quiet_cutoff(experiment: Experiment, most: float) -> float | None:
     """Return the highest cut-off (Hz) at which one encoder count causes a velocity estimate of at most `most`.
 
-    `most` is in rad/s or m/s. The result is not above the present cut-off, and None for an estimator without a cut-off.
+    `most` is in rad/s or m/s. The result is not above the present cut-off; None without a cut-off, or if none is quiet.
     """
     own = experiment.controller
     cutoff = own.parameters.get(CUTOFF)
@@ -65,7 +65,7 @@ def quiet_cutoff(experiment: Experiment, most: float) -> float | None:
         filtered = replace(own, parameters={**own.parameters, CUTOFF: middle * cutoff})
         quiet = highest_reading(replace(experiment, controller=filtered)) <= most
         low, high = (middle, high) if quiet else (low, middle)
-    return low * cutoff
+    return low * cutoff if low > LEAST_CUTOFF else None
 
 
 def _settings(experiment: Experiment) -> Settings:

@@ -138,7 +138,7 @@ def tables() -> dict[str, Any]:
         "phases": [phase.name.lower() for phase in Phase],
         "warnings": int(LimitFlag.SPEED | LimitFlag.POSITION),
         "toggles": verdict.TOGGLES,
-        "thrown_out": {"faults": [Fault[name] for name in THROWN_OUT], **THREW_OUT},
+        "thrown_out": {"faults": [Fault[name] for name in sorted(THROWN_OUT)], **THREW_OUT},
         "hand": {name: value for name, value in vars(driven_hand).items() if name.isupper()},
         "wall": {BY_NAME[name].id: name for name in WALL},
         "layout": [re.findall(r"\b[A-Z_]+\b", names) for names in re.findall(r"(?s)enum \{(.*?)\}", header)],

@@ -146,7 +146,9 @@ def _find_realisation(
         return found[0]
     still, walk = np.zeros(rest, np.int64), _random_walk(WANDERING)
     counts, efforts = np.concatenate([still, walk]), np.concatenate([still, walk[::-1]])
-    alone = replace(probe, of_effort=False).motion(counts) + probe.motion(efforts) / resolution
+    alone = replace(probe, of_effort=False).motion(counts)
+    if found[1:]:
+        alone = alone + probe.motion(efforts) / resolution
     if not _are_close(alone, probe.velocities(counts, efforts) / resolution, SAME):
         return "the response to counts and efforts together is not the sum of both"
     return replace(found[0], of_effort=found[1] if found[1:] else None)

@@ -181,16 +181,23 @@ def scaled(travel: float, elapsed_s: float, effort: float) -> float:
     return travel / elapsed_s * (1.0 + 1e-3 * effort)
 
 
+@rig.estimator()
+def gated(travel: float, elapsed_s: float, effort: float) -> float:
+    """A user's estimator that ignores an effort beyond any motor's."""
+    return travel / elapsed_s + (50.0 * effort if abs(effort) < 10.0 else 0.0)
+
+
 def test_use_of_the_effort_is_decided_by_the_response_and_not_by_the_argument(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A bug called a linear estimator with an unused argument not linear."""
-    monkeypatch.setattr(estimators, "get", {"idle": idle, "scaled": scaled}.__getitem__)
+    monkeypatch.setattr(estimators, "get", {one.name: one for one in (idle, scaled, gated)}.__getitem__)
     found = linear.realise("idle", {}, 5e-4, RESOLUTION)
     assert found.of_effort is None
     assert found.impulse(3) == pytest.approx([2000.0, -2000.0, 0.0], abs=1e-9)
-    with pytest.raises(linear.NotLinearError, match="counts and efforts together"):
-        linear.realise("scaled", {}, 5e-4, RESOLUTION)
+    for name in ("scaled", "gated"):
+        with pytest.raises(linear.NotLinearError, match="counts and efforts together"):
+            linear.realise(name, {}, 5e-4, RESOLUTION)
 
 
 def moving_chord(

@@ -1,12 +1,13 @@
 """Hits match the predictions of their plans: a sample of `tests.benchmarks.plausible_rigs`, and each bug it found."""
 
+import math
 from typing import Any
 
 import pytest
 
 import rig
 from rig.analysis.theory import theory_of
-from rig.config import Experiment, controller, override, presets
+from rig.config import Experiment, controller, override, presets, velocity_reading
 from rig.config._load import experiment_from_mapping, with_realtime
 from rig.core.check import Check, Outcome
 from rig.experiments.design._paths import fits_a_tick
@@ -109,6 +110,11 @@ def test_an_estimator_that_diverges_is_refused_without_a_change_that_cannot_help
         assert (found[name].outcome, found[name].changes) == (Outcome.REFUSED, {})
         assert "as up to inf rad/s" in found[name].text
         assert "choose another estimator" in found[name].remedy
+
+
+def test_no_cutoff_is_named_where_none_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(velocity_reading, "highest_reading", lambda experiment: math.inf)
+    assert velocity_reading.quiet_cutoff(KOUL, 20.0) is None
 
 
 def test_amplifier_steps_that_the_current_quantum_does_not_allow_are_named() -> None:
