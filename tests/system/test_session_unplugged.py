@@ -57,9 +57,6 @@ class Leaving(RehearsalDesk):
         return super().ask(question)
 
 
-@pytest.mark.exhaustive(
-    "tests/rig/session/test_session_conduct.py::test_a_lost_link_is_asked_about_after_the_effort_is_zero"
-)
 def test_a_session_resumes_after_a_pulled_plug_to_the_same_results(tmp_path: Path) -> None:
     protocol = written(tmp_path)
     protocol.write_text(protocol.read_text().replace("repeats = 2", "repeats = 1"))

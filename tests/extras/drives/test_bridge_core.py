@@ -13,6 +13,7 @@ from rig.extras.drives import library, odrive
 from rig.extras.drives.faults import TEXTS, DriveFault
 from rig.extras.drives.library import BRIDGE
 from sim_backend.drives.can_simple import Error
+from sim_backend.drives.moteus_law import W
 from sim_backend.drives.moteus_registers import WHOLE
 from tests.conformance.bridged import (
     CURRENT,
@@ -136,6 +137,13 @@ def test_arming_right_after_disarming_waits_until_the_drive_is_on_again() -> Non
     push(host, 20)
     assert world.bridge.fault == 0
     assert world.torque > 0.0
+
+
+def test_the_drive_limits_the_torque_too() -> None:
+    """Register 0x025 contains the amplifier's limit, in case a sent torque is wrong."""
+    world, host = armed()
+    push(host, 5)
+    assert world.drive._words[W.max_torque] == pytest.approx(1.0 / 2.0)
 
 
 @each_drive

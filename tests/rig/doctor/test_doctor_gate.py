@@ -294,8 +294,9 @@ def test_the_table_has_the_limits_of_theory_for_each_scheme_with_its_delay() -> 
         assert tuple(largest.damping for largest in row.k_max) == dampings
         assert all(largest.least[1] == min(largest.by_hand.values()) for largest in row.k_max)
         hand = "none" if row.velocity_rate == row.position_rate else "firm"
-        limit = theory.k_max(late, row.scheme, dampings[-1], operator=hand)
-        assert row.k_max[-1].by_hand[hand] == pytest.approx(limit.stiffness)
+        for largest in row.k_max[:: len(dampings) - 1]:
+            limit = theory.k_max(late, row.scheme, largest.damping, operator=hand)
+            assert largest.by_hand[hand] == pytest.approx(limit.stiffness)
         assert json.loads(json.dumps(plain(row)))["k_max"][0]["by_hand"].keys() == row.k_max[0].by_hand.keys()
 
 

@@ -88,7 +88,6 @@ def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Pa
 # --- a person ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.exhaustive("tests/system/test_cli_zwidth.py::test_a_person_who_does_not_agree_ends_the_session")
 def test_a_person_who_declines_ends_the_session_and_the_same_plan_resumes(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     whole = Person()
