@@ -205,7 +205,7 @@ from rig.realtime import memories
 ask_to_stop = memories.ask_to_stop
 def ask(pid):
     found = ask_to_stop(pid)
-    print(len(found), *sorted({"click", "numpy", "numba", "rig.cli"} & set(sys.modules)), flush=True)
+    print(sum(one.ran for one in found), *sorted({"click", "numpy", "numba", "rig.cli"} & set(sys.modules)), flush=True)
     return found
 memories.ask_to_stop = ask
 from rig.__main__ import main
