@@ -16,7 +16,7 @@ from rig.analysis import theory
 from rig.analysis.impedance import Floats, walls
 from rig.analysis.theory import LinearLoop, linear_loop
 from rig.config import Experiment, push_at_rest
-from rig.config.schemes import Scheme
+from rig.config.schemes import STAND_IN, Scheme
 from rig.core.errors import ConfigError, PlanError
 from rig.experiments.mapping._kmax import KMax, undamped_schemes
 from rig.experiments.mapping._searches import StiffnessSearch, Way
@@ -36,7 +36,6 @@ COLUMNS = 17  # dampings
 # Largest tested damping over the largest damping that linear theory permits for any scheme.
 BEYOND = 1.1
 CURVE_POINTS = 60  # points of a theoretical curve
-_LINEAR = "fdm-butterworth"  # replaces a nonlinear estimator in linear theory
 _BISECTIONS = 50
 _COARSE_BISECTIONS = 12  # to 0.1 % of a hundredfold range
 
@@ -208,7 +207,7 @@ def _damping_range(experiment: Experiment, scheme: Scheme) -> float:
         return theory.b_max(experiment, scheme).damping
     except ConfigError:
         # Linear theory does not cover a nonlinear estimator: use a finite difference with a filter in its place.
-        return theory.b_max(experiment, _with_estimator(scheme, _LINEAR)).damping
+        return theory.b_max(experiment, _with_estimator(scheme, STAND_IN)).damping
 
 
 def _with_estimator(scheme: Scheme, estimator: str) -> Scheme:
