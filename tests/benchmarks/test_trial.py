@@ -134,7 +134,7 @@ def test_a_trial_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
 def in_mujoco(mujoco: Any, model: Any, options: Any) -> Any:
     """Return the rigid rig as one hinge in MuJoCo: model and data."""
     mechanics = model.mechanics
-    inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
+    inertia = mechanics.inertia
     xml = f"""
     <mujoco>
       <option timestep="5e-5" gravity="0 0 0" {options}
