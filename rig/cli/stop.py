@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from rig.cli import options, output
-from rig.cli.command import command
+from rig.cli import output
+from rig.cli.command import command, json_option  # not `options`: their experiments take 0.3 s to load
 from rig.core.errors import RigError
 from rig.realtime import running
 from rig.realtime.memories import LoopMemory
@@ -18,7 +18,7 @@ from rig.realtime.memories import LoopMemory
 @command()
 @click.argument("pid", required=False, type=click.IntRange(1))
 @click.option("--list", "only_list", is_flag=True, help="List the loops that run; stop none.")
-@options.json_option
+@json_option
 @click.pass_obj
 def stop(asked: list[LoopMemory] | None, pid: int | None, only_list: bool, as_json: bool) -> None:
     """Stop the loops that run in real time, all of this user or that of process PID: zero effort within a tick.
