@@ -1,56 +1,46 @@
 """A process with a loop in shared memory that only counts; other processes can observe and stop it."""
 
-import json
-import subprocess
-import sys
+import multiprocessing
+import threading
+import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkProcess
 from typing import Any
 
-from tests.conformance.started import started
-
-ROOT = Path(__file__).parents[2]
-
-# Arguments: info (JSON), what it does: "obey", or "deaf" to ignore the stop word. It takes and commits parameters.
-# It ends when standard input does.
-PROGRAM = """
-from rig.core import program; program.begin()
-import json, sys, threading, time
-import numpy as np
 from rig.realtime import control_words
-from rig.realtime.mailbox import SET_FLOATS, take
 from rig.realtime.ring import Ring
-
-info, kind = json.loads(sys.argv[1]), sys.argv[2]
-ring = Ring.allocate(16, info=info, shared=True)
-ended = threading.Event()
-threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
-ring.put(control_words.PHASE, 3)
-print("ready", flush=True)
-into = np.zeros(SET_FLOATS)
-ticks = 0
-while not ended.is_set() and (kind == "deaf" or ring.get(control_words.STOP) == 0):
-    ticks += 1
-    ring.put(control_words.TICKS, ticks)
-    number = take(ring.mailbox, into.view(np.uint8))
-    if number:
-        print(json.dumps({"set": number, "values": into[:8].tolist()}), flush=True)
-        ring.put(control_words.PARAMETER_SET, number)
-    time.sleep(0.001)
-if kind != "deaf":
-    ring.put(control_words.LOOP_DONE, 1)
-print("done", flush=True)
-ended.wait()
-"""
+from tests.conformance.started import die_with_parent
 
 
 @contextmanager
-def loop_process(info: dict[str, Any] | None = None, kind: str = "obey") -> Iterator[subprocess.Popen[str]]:
-    """Start the process, yield it when its loop runs, and kill it at the end of the block."""
-    command = [sys.executable, "-c", PROGRAM, json.dumps(info or {}), kind]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with started(*command, cwd=ROOT, text=True, bufsize=1, **pipes) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().strip() == "ready"
+def loop_process(info: dict[str, Any]) -> Iterator[ForkProcess]:
+    """Fork the process, yield it when its loop runs, and kill it at the end of the block."""
+    Ring.allocate(1).close()  # loads compiled code, which a new process would load again: 0.3 s
+    fork = multiprocessing.get_context("fork")
+    ready, child = fork.Pipe()
+    process = fork.Process(target=_run_loop, args=(info, child))
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of other threads at a fork
+        process.start()
+    try:
+        assert ready.recv() == "ready"
         yield process
+    finally:
+        process.kill()
+        process.join()
+
+
+def _run_loop(info: dict[str, Any], ready: Connection) -> None:
+    die_with_parent()
+    ring = Ring.allocate(16, info=info, shared=True)
+    ring.put(control_words.PHASE, 3)
+    ready.send("ready")
+    ticks = 0
+    while ring.get(control_words.STOP) == 0:
+        ticks += 1
+        ring.put(control_words.TICKS, ticks)
+        time.sleep(0.001)
+    ring.put(control_words.LOOP_DONE, 1)
+    threading.Event().wait()

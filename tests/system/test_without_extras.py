@@ -31,6 +31,7 @@ WHOLE = (
     "tests/rig/core/test_lazy.py::test_names_of_a_missing_extra_are_no_names",
     "tests/rig/core/test_lazy.py::test_every_public_function_documents_its_parameters_results_and_errors",
     "tests/rig/cli/test_command_line.py::test_each_command_explains_itself_without_its_libraries",
+    "tests/rig/cli/test_command_line.py::test_a_missing_library_is_named_with_the_extra_that_installs_it",
     "tests/rig/cli/test_command_line.py::test_an_argument_that_a_message_names_is_an_option_of_a_command",
     "tests/rig/cli/test_help.py::test_there_are_at_most_twenty_commands_at_the_top",
     f"{COMMANDS}::test_every_command_has_a_row_with_a_good_run",

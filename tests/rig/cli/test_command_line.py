@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -19,7 +20,8 @@ import pytest
 import rig.cli
 import rig.cli.doctor
 from rig.cli import output
-from rig.core.errors import RigError
+from rig.core.errors import ConfigError, RigError
+from rig.experiments.sweep._executors import executor_for
 from rig.experiments.trials import live
 from rig.realtime.source_files import source_files
 from tests.conformance.commands import commands
@@ -82,6 +84,11 @@ def test_an_empty_value_of_any_option_is_an_error_that_names_it(capsys: pytest.C
     assert json.loads(capsys.readouterr().out)["error"]["kind"] == "ConfigError"
 
 
+OPTIONAL = (
+    *("distributed", "mcap", "moteus", "mujoco", "odrive", "pandas", "pylsl", "sphinx", "statsmodels"),
+    *("unicorn", "websockets", "xarray"),
+)
+
 WITHOUT_LIBRARIES = """
 import os, sys
 for package in sys.argv[2:]:
@@ -98,23 +105,37 @@ for words in ("console", "serve lsl --once", "zwidth -B 0 -B 1 --scheme uniform:
 """
 
 
+@pytest.mark.exhaustive("::test_no_file_needs_an_optional_library_to_be_imported")
 def test_each_command_explains_itself_without_its_libraries_and_names_what_to_install(tmp_path: Path) -> None:
-    packages = [
-        "distributed",
-        "mcap",
-        "moteus",
-        "mujoco",
-        "odrive",
-        "pandas",
-        "pylsl",
-        "sphinx",
-        "statsmodels",
-    ]
-    packages += ["unicorn", "websockets", "xarray"]
-    program = [sys.executable, "-c", WITHOUT_LIBRARIES, str(tmp_path), *packages]
+    program = [sys.executable, "-c", WITHOUT_LIBRARIES, str(tmp_path), *OPTIONAL]
     done = subprocess.run(program, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert re.findall(r"pip install 'haptic-rig\[(\w+)\]'", done.stdout) == ["console", "lsl", "cluster"]
+
+
+def test_no_file_needs_an_optional_library_to_be_imported() -> None:
+    needed = re.compile(rf"^(?:import|from) (?:{'|'.join(OPTIONAL)})\b", re.MULTILINE)
+    needing = {module for module, path in source_files().items() if needed.search(path.read_text())}
+    assert needing == {"rig.docs.conf", "rig.session.examples.from_tables"}  # which no command imports
+
+
+@pytest.mark.parametrize(
+    ("extra", "call"),
+    [
+        ("console", lambda: importlib.import_module("rig.extras.console.sockets")),
+        ("lsl", lambda: rig.cli.rig(["serve", "lsl", "--once"], standalone_mode=False)),
+        ("cluster", lambda: executor_for("tcp://127.0.0.1:1", None)),
+    ],
+)
+def test_a_missing_library_is_named_with_the_extra_that_installs_it(
+    extra: str, call: Callable[[], object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "rig.extras.console.sockets", raising=False)
+    for name in [*OPTIONAL, *(name for name in sys.modules if name.partition(".")[0] in OPTIONAL)]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ConfigError) as refused:
+        call()
+    assert refused.value.remedy.endswith(f"pip install 'haptic-rig[{extra}]'")
 
 
 def own_codes(kind: type[RigError]) -> list[int]:
@@ -165,13 +186,18 @@ def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of()
 
 
 @cache
-def texts() -> list[tuple[str, str]]:
-    """Return module and text of every string outside the commands, except docstrings."""
+def texts(pattern: str) -> list[tuple[str, str]]:
+    """Return module and text of the strings outside the commands, except docstrings, of files in which one matches."""
+    line_with_it = re.compile(
+        rf"""^(?!\s*\"\"\").*["'].*{pattern}""", re.MULTILINE
+    )  # parsing takes 2 ms a file
     found = []
     for module, path in source_files(["rig"]).items():
         if module.startswith("rig.cli") or re.fullmatch(r"rig\.extras\.\w+\.cli(_\w+)?", module):
             continue
-        everything = list(ast.walk(ast.parse(path.read_text())))
+        if not line_with_it.search(source := path.read_text()):
+            continue
+        everything = list(ast.walk(ast.parse(source)))
         documented = {
             id(node.value)
             for node in everything
@@ -188,9 +214,11 @@ def texts() -> list[tuple[str, str]]:
 @pytest.mark.exhaustive("::test_an_argument_that_a_message_names_is_an_option_of_a_command")
 def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
     """A whole command, as typed in a shell, is allowed as a remedy."""
-    word = re.compile(r"(?<![\w-])--[a-z]")
+    word = re.compile(option := r"(?<![\w-])--[a-z]")
     command = re.compile(r"\b(?:rig|pytest) [a-z-]+|sudo|docker|apt|systemctl|cap-add|-Wl|moteus_tool")
-    named = [(module, text) for module, text in texts() if word.search(text) and not command.search(text)]
+    named = [
+        (module, text) for module, text in texts(option) if word.search(text) and not command.search(text)
+    ]
     assert [one for one in named if not re.fullmatch(r"--[\w=.*-]+", one[1])] == []
 
 
@@ -198,7 +226,7 @@ def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
     options = {name for _, command in commands() for one in command.params for name in one.opts}
     named = {
         (module, found)
-        for module, text in texts()
+        for module, text in texts(output._ARGUMENT.pattern)
         if len(text) < 110  # longer ones are pages
         for found in output._ARGUMENT.findall(text)
     }
@@ -208,7 +236,7 @@ def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
 
 def test_a_message_never_means_the_program_where_a_command_shows_an_option() -> None:
     """`rig` in a message is a function's argument; the program is haptic-rig, or part of a whole command."""
-    assert {module for module, text in texts() if "`rig`" in text} == {
+    assert {module for module, text in texts(output._ARGUMENT.pattern) if "`rig`" in text} == {
         "rig.core.same_rig",
         "rig.firmware._selftest",
     }

@@ -18,6 +18,7 @@ from rig.config import presets
 from rig.control import estimators
 from rig.control.verdict import Kind
 from rig.core.operators import GRIPS
+from tests.conformance.tiers import first_by_default
 
 ROOT = str(Path(rig.cli.__file__).parents[2])
 TOO_HEAVY = ("numpy", "numba", "scipy", "pydantic", "matplotlib", "pyarrow", "rich")
@@ -73,11 +74,13 @@ def test_values_are_completed_by_what_they_are(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize(
     ("line", "expected"),
-    [
-        ("rig estimators export ka", ["kalman"]),
-        ("rig hit --url=sim://koul-r", ["//koul-rigid"]),
-        ("rig show here/", ["here/a.parquet"]),
-    ],
+    first_by_default(
+        [
+            ("rig hit --url=sim://koul-r", ["//koul-rigid"]),
+            ("rig estimators export ka", ["kalman"]),
+            ("rig show here/", ["here/a.parquet"]),
+        ]
+    ),
 )
 def test_bash_receives_the_part_of_a_word_that_it_adds(
     line: str, expected: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -502,7 +502,7 @@ def test_leaving_the_window_or_an_unreachable_start_end_with_zero() -> None:
     assert_ends_with_stops(link)
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 3.0:
@@ -953,7 +953,7 @@ def test_an_exception_of_the_progress_does_not_stop_the_caller_from_finishing(wi
 # ---------------------------------------------------------------------- a law that does not return
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def waits_for_a_word(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     entered, freed = np.int64(parameters[0]), np.int64(parameters[1])
     store_word(entered, 1)

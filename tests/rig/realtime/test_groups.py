@@ -52,18 +52,18 @@ class Both(NamedTuple):
     measured: Annotated[Measured, type_of(Measured)]
 
 
-@kernel(types.float64(type_of(Wanted), type_of(Measured)), cache=False)
+@kernel(types.float64(type_of(Wanted), type_of(Measured)))
 def error(wanted: Any, measured: Any) -> Any:
     return wanted.values[wanted.place] - measured.values[measured.place]
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def counting(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[0] += 1.0
     return state[0] if penetration >= 0.0 else 1.0 / 0.0
 
 
-@kernel(types.float64(type_of(Plugged), types.int64), cache=False)
+@kernel(types.float64(type_of(Plugged), types.int64))
 def repeated(plugged: Any, times: Any) -> Any:
     last = 0.0
     for _ in range(times):
@@ -158,7 +158,8 @@ def kernels() -> Iterator[Any]:
         if "@kernel(" not in text:
             continue
         lines = text.splitlines()
-        for node in ast.walk(ast.parse(text)):
+        tree = ast.parse(text)
+        for node in [*tree.body, *(inside for outer in tree.body for inside in getattr(outer, "body", ()))]:
             if isinstance(node, ast.FunctionDef) and any(
                 isinstance(mark, ast.Call) and getattr(mark.func, "id", "") == "kernel"
                 for mark in node.decorator_list

@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Container
+from collections.abc import Container, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,6 +189,7 @@ def test_edited_constant_of_an_imported_file_recompiles(first: tuple[Project, di
     project.write(gain=2.0)
 
 
+@pytest.mark.exhaustive("::test_cache_that_others_can_write_is_refused_with_one_warning")
 def test_run_goes_without_a_writable_cache_and_without_numbas(project: Project, tmp_path: Path) -> None:
     """A file in place of the cache directory stops every user, also root.
 
@@ -225,6 +226,9 @@ def test_cache_that_others_can_write_is_refused_with_one_warning(
     inside.chmod(0o775)
     assert cache.open_cache().parent != named, "the directory of these kernels"
     inside.chmod(0o700)
+    shutil.rmtree(named)
+    named.touch()  # which stops every user, also root
+    assert cache.open_cache().parent == spare / f"haptic-rig-cache-{os.getuid()}"
     tmp_path.chmod(0o777)
     assert "can replace" in writable_by_others(named)
     tmp_path.chmod(0o1777)
@@ -310,13 +314,21 @@ def test_the_key_covers_kernels_and_what_they_import() -> None:
 def imported(text: str, files: Container[str]) -> list[str]:
     """Return the project's modules that a source imports; reject relative imports, which the key does not see."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(text)):
+    for node in statements(ast.parse(text)):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, ast.unparse(node)
             names += [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
     return [name for name in names if name in files]
+
+
+def statements(tree: ast.AST) -> Iterator[ast.AST]:
+    for part in ("body", "orelse", "handlers", "finalbody", "cases"):
+        inner = getattr(tree, part, ())
+        for node in inner if isinstance(inner, list) else ():  # in an expression it is none
+            yield node
+            yield from statements(node)
 
 
 def test_any_change_of_names_or_contents_changes_the_key() -> None:

@@ -1,12 +1,9 @@
 """The memory of a running loop on systems other than Linux, as files: found, stopped, written by others, removed."""
 
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,22 +12,9 @@ from rig.realtime import _named_memory as named_memory
 from rig.realtime import memories, ring, running
 from rig.realtime.control_words import STOP
 from rig.realtime.ring import Ring
-from tests.conformance.started import started
+from tests.conformance.running_loop import loop_process
 
 WAIT_S = 30.0
-LOOP = """
-import sys, time
-from rig.realtime import control_words, memories, ring, running
-from rig.realtime import _named_memory as named_memory
-memories.place = ring.place = running.place = named_memory
-named_memory.user_cache = lambda: sys.argv[1]
-block = ring.Ring.allocate(100, info={"url": "serial://COM3"}, shared=True)
-print("there", flush=True)
-while block.peek(control_words.STOP) == 0:
-    time.sleep(0.01)
-block.put(control_words.LOOP_DONE, 1)
-time.sleep(1e3)
-"""
 
 
 @pytest.fixture
@@ -45,13 +29,8 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]
         lock.close()
 
 
-def loop_in(cache: Path) -> Any:
-    return started(sys.executable, "-c", LOOP, str(cache), stdout=subprocess.PIPE, text=True)
-
-
 def test_other_process_finds_changes_and_stops_a_loop(elsewhere: Path) -> None:
-    with loop_in(elsewhere.parents[1]) as process:
-        assert process.stdout.readline() == "there\n"
+    with loop_process({"url": "serial://COM3"}) as process:
         loop = running.the_loop()
         assert (loop.pid, loop.info["url"], loop.stopping) == (process.pid, "serial://COM3", False)
         with running.open_loop(loop) as block:
@@ -60,7 +39,7 @@ def test_other_process_finds_changes_and_stops_a_loop(elsewhere: Path) -> None:
         assert running.running() == []
         assert [one.pid for one in running.running(done=True)] == [process.pid]
         process.kill()
-        process.wait()
+        process.join()
         assert running.running(done=True) == []
         assert (elsewhere / str(process.pid)).exists()  # the killed process could not remove it
     with Ring.allocate(10, shared=True) as mine:

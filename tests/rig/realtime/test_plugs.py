@@ -14,17 +14,17 @@ from rig.realtime import plugs
 from rig.realtime.kernel import kernel
 
 
-@kernel(types.float64(plugs.LAW, types.float64, types.float64[::1], types.float64[::1]), cache=False)
+@kernel(types.float64(plugs.LAW, types.float64, types.float64[::1], types.float64[::1]))
 def ask_law(law: Any, penetration: Any, state: Any, parameters: Any) -> Any:
     return law(penetration, 0.0, 1, state, parameters)
 
 
-@kernel(types.int64(plugs.NOW, types.int64), cache=False)
+@kernel(types.int64(plugs.NOW, types.int64))
 def ask_clock(now: Any, handle: Any) -> Any:
     return now(handle)
 
 
-@kernel(plugs.LAW_SIGNATURE, cache=False)
+@kernel(plugs.LAW_SIGNATURE)
 def magnet(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     return -parameters[0] * penetration
 

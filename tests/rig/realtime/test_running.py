@@ -44,13 +44,13 @@ def test_a_loop_of_another_process_is_found_and_stopped() -> None:
         assert stopped.ended
         assert stopped.loop.pid == process.pid
         assert loops_of(process.pid) == []  # it is done, though its process lives
-        assert process.poll() is None
+        assert process.is_alive()
         (again,) = [one for one in running.running(done=True) if one.pid == process.pid]
         assert again.done
         with pytest.raises(ConfigError, match="runs no loop"):
             running.stop(process.pid)
         process.kill()
-        process.wait()
+        process.join()
         assert not [one for one in running.running(done=True) if one.pid == process.pid]
         with pytest.raises(ConfigError, match="there is no process"):
             running.stop(process.pid)

@@ -44,7 +44,7 @@ def test_a_wall_with_friction_compensation_keeps_them_where_it_acts() -> None:
 
 @cache
 def bad(function: Callable[..., float]) -> Law:
-    return Law("bad", "", kernel(LAW_SIGNATURE, cache=False)(function), 2, lambda wall: [wall["stiffness"]])
+    return Law("bad", "", kernel(LAW_SIGNATURE)(function), 2, lambda wall: [wall["stiffness"]])
 
 
 def allocates(depth: float, velocity: float, elapsed: int, state: Floats, numbers: Floats) -> float:
@@ -150,6 +150,6 @@ def overflows(
 )
 def test_the_error_of_an_estimator_names_the_promise_that_it_breaks(function: Any, message: str) -> None:
     fdm = estimators.get("fdm")
-    broken: Estimator = replace(fdm, update=kernel(ESTIMATOR_SIGNATURE, cache=False)(function))
+    broken: Estimator = replace(fdm, update=kernel(ESTIMATOR_SIGNATURE)(function))
     with pytest.raises(AssertionError, match=message):
         check_estimator(broken)

@@ -14,15 +14,18 @@ import pytest
 
 import rig
 import rig.testing.hits
+import rig.testing.served
 from firmware_protocol.connection import State
 from rig import config, devices
 from rig.config import presets
+from rig.core.model import RigModel
 from rig.devices.framed import FramedDevice
 from rig.realtime import running
 from rig.testing import SerialRig, serve_rig
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
+from tests.conformance.served import served_rig
 
 URL = "serial:///dev/ttyRIG"
 TYPED = ("--rig-url", URL, "--rig-verified", "-n0")
@@ -67,8 +70,8 @@ def test_a_rig_moves_only_for_one_process_and_a_typed_word(
     typed: tuple[str, ...], refusal: str, bench: Bench, pytester: pytest.Pytester
 ) -> None:
     pytester.makepyfile("def test_it(rig_hit): rig_hit()")
-    # A file is not a person's consent.
-    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin --rig-verified")
+    settings = pytester.path / "tox.ini"
+    settings.write_text(f"{settings.read_text()} --rig-verified")  # a file is not a person's consent
     result = pytester.runpytest_inprocess(*typed)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines([f"ERROR: {refusal}"])
@@ -177,8 +180,16 @@ def test_a_person_agrees_to_each_hit_of_a_map(
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[SerialRig]:
-    with serve_rig(presets.load("koul-compliant")) as one:
-        yield one
+    @contextmanager
+    def in_this_process(url: str, model: RigModel, *, terminal: bool) -> Iterator[str]:
+        assert (url, terminal) == ("sim://", True)
+        with served_rig(model) as path:
+            yield f"serial://{path}"
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rig.testing.served, "serve_locally", in_this_process)
+        with serve_rig(presets.load("koul-compliant")) as one:
+            yield one
 
 
 @pytest.fixture

@@ -17,10 +17,13 @@ from rig.testing import Experiments, FaultWords, Hits, Maps, with_every_frame
 from tests.conformance.tiers import first_by_default
 
 
-def test_its_entry_point_and_dash_p_are_one_plugin(suite: pytest.Pytester) -> None:
+def test_its_entry_point_and_dash_p_are_one_plugin(
+    suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """pytest registers a plug-in once per name, so an entry point of another name would raise an error."""
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     assert project["entry-points"]["pytest11"] == {"rig.testing.plugin": "rig.testing.plugin"}
+    monkeypatch.delenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD")
     config = suite.parseconfig("-p", "rig.testing.plugin")
     assert config.pluginmanager.has_plugin("rig.testing.plugin")
 
@@ -154,15 +157,17 @@ def test_recordings_are_kept_as_asked_and_listed_at_the_end(
     assert (f"recordings of {len(kept)} tests: {place}" in result.stdout.str()) == bool(kept)
 
 
-def test_golden_recordings_are_missed_made_and_compared(suite: pytest.Pytester) -> None:
+def test_golden_recordings_are_missed_made_and_compared(
+    suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
     suite.makepyfile(
         test_it="""
         import os
 
         def test_it(rig_hit, rig_experiment, rig_golden):
+            rig_golden(rig_hit(rig_experiment.short(None, {"wall.stiffness": 80.0})), "soft wall")
             stiffness = float(os.environ.get("STIFFNESS", 60.0))
-            rig_golden(rig_hit(rig_experiment.short(None, {"wall.stiffness": stiffness})), "soft wall")
-            rig_golden(rig_hit(rig_experiment.short(None, {"wall.stiffness": 80.0})), "soft_wall")
+            rig_golden(rig_hit(rig_experiment.short(None, {"wall.stiffness": stiffness})), "soft_wall")
         """
     )
     suite.runpytest_inprocess().stdout.fnmatch_lines(["*there is no golden recording *--rig-golden=update*"])
@@ -171,15 +176,14 @@ def test_golden_recordings_are_missed_made_and_compared(suite: pytest.Pytester) 
         "test_it.test_it.soft%20wall.parquet",
         "test_it.test_it.soft_wall.parquet",
     }
-    suite.runpytest_inprocess().assert_outcomes(passed=1)
-    with pytest.MonkeyPatch.context() as changed:
-        changed.setenv("STIFFNESS", "61")
-        result = suite.runpytest_inprocess()
+    monkeypatch.setenv("STIFFNESS", "61")
+    result = suite.runpytest_inprocess()
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         [
             "*differs from the golden recording from row * on (* ms, trial), in * columns; there:",
             "*effort_wall: * N·m, was * (by *, allowed *)",
+            "*golden: *.soft_wall.parquet",
             "*if today's recording is right, run: pytest --rig-golden=update",
         ]
     )
