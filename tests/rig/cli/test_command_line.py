@@ -8,7 +8,6 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -84,10 +83,7 @@ def test_an_empty_value_of_any_option_is_an_error_that_names_it(capsys: pytest.C
     assert json.loads(capsys.readouterr().out)["error"]["kind"] == "ConfigError"
 
 
-OPTIONAL = (
-    *("distributed", "mcap", "moteus", "mujoco", "odrive", "pandas", "pylsl", "sphinx", "statsmodels"),
-    *("unicorn", "websockets", "xarray"),
-)
+OPTIONAL = "distributed|mcap|moteus|mujoco|odrive|pandas|pylsl|sphinx|statsmodels|unicorn|websockets|xarray"
 
 WITHOUT_LIBRARIES = """
 import os, sys
@@ -107,34 +103,35 @@ for words in ("console", "serve lsl --once", "zwidth -B 0 -B 1 --scheme uniform:
 
 @pytest.mark.exhaustive("::test_no_file_needs_an_optional_library_to_be_imported")
 def test_each_command_explains_itself_without_its_libraries_and_names_what_to_install(tmp_path: Path) -> None:
-    program = [sys.executable, "-c", WITHOUT_LIBRARIES, str(tmp_path), *OPTIONAL]
+    program = [sys.executable, "-c", WITHOUT_LIBRARIES, str(tmp_path), *OPTIONAL.split("|")]
     done = subprocess.run(program, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert re.findall(r"pip install 'haptic-rig\[(\w+)\]'", done.stdout) == ["console", "lsl", "cluster"]
 
 
 def test_no_file_needs_an_optional_library_to_be_imported() -> None:
-    needed = re.compile(rf"^(?:import|from) (?:{'|'.join(OPTIONAL)})\b", re.MULTILINE)
+    needed = re.compile(rf"^(?:import|from) (?:{OPTIONAL})\b", re.MULTILINE)
     needing = {module for module, path in source_files().items() if needed.search(path.read_text())}
     assert needing == {"rig.docs.conf", "rig.session.examples.from_tables"}  # which no command imports
 
 
-@pytest.mark.parametrize(
-    ("extra", "call"),
-    [
-        ("console", lambda: importlib.import_module("rig.extras.console.sockets")),
-        ("lsl", lambda: rig.cli.rig(["serve", "lsl", "--once"], standalone_mode=False)),
-        ("cluster", lambda: executor_for("tcp://127.0.0.1:1", None)),
-    ],
-)
+MISSING = {
+    "console": lambda: importlib.import_module("rig.extras.console.sockets"),
+    "lsl": lambda: rig.cli.rig(["serve", "lsl", "--once"], standalone_mode=False),
+    "cluster": lambda: executor_for("tcp://127.0.0.1:1", None),
+}
+
+
+@pytest.mark.parametrize("extra", MISSING)
 def test_a_missing_library_is_named_with_the_extra_that_installs_it(
-    extra: str, call: Callable[[], object], monkeypatch: pytest.MonkeyPatch
+    extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delitem(sys.modules, "rig.extras.console.sockets", raising=False)
-    for name in [*OPTIONAL, *(name for name in sys.modules if name.partition(".")[0] in OPTIONAL)]:
+    loaded = [name for name in sys.modules if re.match(rf"(?:{OPTIONAL})\b", name)]
+    for name in [*OPTIONAL.split("|"), *loaded]:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ConfigError) as refused:
-        call()
+        MISSING[extra]()
     assert refused.value.remedy.endswith(f"pip install 'haptic-rig[{extra}]'")
 
 

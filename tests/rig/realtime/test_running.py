@@ -33,9 +33,7 @@ def test_a_loop_of_another_process_is_found_and_stopped() -> None:
         assert (loop.phase, loop.stopping, loop.done) == ("trial", False, False)
         assert abs(loop.since - time.time()) < 60
         assert loop.as_mapping()["url"] == "serial:///dev/ttyTEST"
-        with running.open_loop(
-            loop
-        ) as ring:  # this process, and its `fork`, map the memory; neither runs the loop
+        with running.open_loop(loop) as ring:  # now this process maps the memory too, and runs no loop
             assert ring.get(control_words.VERSION) == control_words.LAYOUT_VERSION
             assert loops_of(os.getpid()) == []
             (again,) = loops_of(process.pid)
