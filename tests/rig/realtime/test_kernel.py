@@ -326,7 +326,7 @@ def imported(text: str, files: Container[str]) -> list[str]:
 def statements(tree: ast.AST) -> Iterator[ast.AST]:
     for part in ("body", "orelse", "handlers", "finalbody", "cases"):
         inner = getattr(tree, part, ())
-        for node in inner if isinstance(inner, list) else ():  # in an expression it is none
+        for node in inner if isinstance(inner, list) else ():  # not a lambda's or an expression's
             yield node
             yield from statements(node)
 
