@@ -54,7 +54,7 @@ settings.register_profile("explore", derandomize=False, **EVERYWHERE)
 settings.load_profile("repeatable")
 # Hypothesis also draws constants that it finds in the local modules that are loaded, and each worker has loaded others.
 # `derandomize` does not cover them (6.170), and no setting switches them off.
-providers.HypothesisProvider._local_constants = Constants()
+providers._get_local_constants = Constants
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -146,17 +146,18 @@ class Memory:
         libc = ctypes.CDLL(None)
         libc.mallopt(self.M_ARENA_MAX, 1)
         self._trim = libc.malloc_trim
+        self._statm = os.open("/proc/self/statm", os.O_RDONLY)  # once for thousands of readings
         self._kept = self._resident_bytes()
 
-    @staticmethod
-    def _resident_bytes() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * mmap.PAGESIZE
+    def _resident_bytes(self) -> int:
+        return int(os.pread(self._statm, 100, 0).split()[1]) * mmap.PAGESIZE
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self) -> Generator[None, object, object]:
         done = yield
         if self._resident_bytes() > self._kept + self.MUCH_BYTES:
             gc.collect()
+            gc.freeze()  # the modules and kernels that were loaded; the next collection need not look at them
             self._trim(0)
             self._kept = self._resident_bytes()
         return done
