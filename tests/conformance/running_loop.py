@@ -1,42 +1,31 @@
 """A process with a loop in shared memory that only counts; other processes can observe and stop it."""
 
-import multiprocessing
 import threading
 import time
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkProcess
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
-from tests.conformance.started import die_with_parent
+from tests.conformance.started import forked
 
 
 @contextmanager
-def loop_process(info: dict[str, Any]) -> Iterator[ForkProcess]:
+def loop_process(info: dict[str, Any]) -> Iterator[BaseProcess]:
     """Fork the process, yield it when its loop runs, and kill it at the end of the block."""
-    Ring.allocate(1).close()  # loads compiled code, which a new process would load again: 0.3 s
-    fork = multiprocessing.get_context("fork")
-    ready, child = fork.Pipe()
-    process = fork.Process(target=_run_loop, args=(info, child))
-    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of other threads at a fork
-        process.start()
-    try:
-        assert ready.recv() == "ready"
+    Ring.allocate(1).close()  # loads compiled code, which each child would load again
+    with forked(_run_loop, info) as (process, messages):
+        assert messages.recv() == "ready"
         yield process
-    finally:
-        process.kill()
-        process.join()
 
 
-def _run_loop(info: dict[str, Any], ready: Connection) -> None:
-    die_with_parent()
+def _run_loop(parent: Connection, info: dict[str, Any]) -> None:
     ring = Ring.allocate(16, info=info, shared=True)
     ring.put(control_words.PHASE, 3)
-    ready.send("ready")
+    parent.send("ready")
     ticks = 0
     while ring.get(control_words.STOP) == 0:
         ticks += 1

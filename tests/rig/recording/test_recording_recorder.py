@@ -2,13 +2,10 @@
 
 import errno
 import os
-import signal
-import subprocess
-import sys
-import textwrap
+import resource
 import threading
 import time
-from contextlib import AbstractContextManager
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +23,7 @@ from rig.recording._capture import pack_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S, Recorder, write_all
 from tests.conformance.recording import example_header, example_rows
-from tests.conformance.started import started
+from tests.conformance.started import forked
 
 HEADER = example_header()
 
@@ -193,70 +190,49 @@ def test_partial_writes_are_continued() -> None:
     assert bytes(taken) == data.tobytes()
 
 
-PRODUCER = """
-    from rig.core import program; program.begin()
-    import signal, sys, time
-    import numpy as np
-    from rig.core.errors import RecordingError
-    from rig.recording.recorder import Recorder
-    from rig.realtime.ring import Ring
-    from rig.realtime.control_words import HEAD, TAIL
-    from tests.conformance.recording import example_header, example_rows
+class Producer:
+    """A loop that numbers its rows for ever."""
 
-    ring = Ring.allocate(4096)
-    rows = example_rows(4096)
-    written = 0
+    def __init__(self, ring: Ring) -> None:
+        self.ring, self.rows, self.written = ring, example_rows(ring.capacity), 0
 
-    def put(count):
-        global written
-        while ring.get(HEAD) + count - ring.get(TAIL) > ring.capacity:
+    def put(self, recorder: Recorder, count: int, received_at: int = 0) -> None:
+        while self.ring.get(HEAD) + count - self.ring.get(TAIL) > self.ring.capacity:
             time.sleep(0.001)
             if recorder.error:
                 return
-        place = (written + np.arange(count)) % ring.capacity
-        ring.rows[place] = rows[place]
-        ring.rows["tick"][place] = np.arange(written, written + count)
-        written += count
-        ring.put(HEAD, written)
-"""
+        place = (self.written + np.arange(count)) % self.ring.capacity
+        self.ring.rows[place] = self.rows[place]
+        self.ring.rows["tick"][place] = np.arange(self.written, self.written + count)
+        self.ring.rows["received_at"][place] = received_at
+        self.written += count
+        self.ring.put(HEAD, self.written)
 
 
-def run_python(body: str, path: Path) -> AbstractContextManager[subprocess.Popen[str]]:
-    program = textwrap.dedent(PRODUCER) + textwrap.dedent(body)
-    root = Path(__file__).parents[3]
-    return started(
-        sys.executable, "-c", program, path, cwd=root, stdout=subprocess.PIPE, text=True, bufsize=1
-    )
+def record_for_ever(parent: Connection, path: Path) -> None:
+    ring = Ring.allocate(4096, info={"recording": str(path)}, shared=True)
+    producer, now, pause = Producer(ring), time.monotonic_ns(), 0
+    with Recorder(path, HEADER, ring) as recorder:
+        while True:
+            before, now = now, time.monotonic_ns()
+            pause = max(pause, now - before)
+            producer.put(recorder, 10, now)
+            parent.send((now, recorder.rows, pause))
+            time.sleep(0.002)
 
 
 @pytest.mark.exhaustive("::test_rows_reach_the_file_while_the_loop_runs")
 def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
     """The ring is in shared memory as in a real-time loop; the age of rows is measured by their own times."""
     path = tmp_path / "trial.rigcap"
-    body = """
-        ring = Ring.allocate(4096, info={"recording": sys.argv[1]}, shared=True)
-        now = time.monotonic_ns()
-        pause = 0
-        with Recorder(sys.argv[1], example_header(), ring) as recorder:
-            while True:
-                before, now = now, time.monotonic_ns()
-                pause = max(pause, now - before)
-                rows["received_at"][(written + np.arange(10)) % ring.capacity] = now
-                put(10)
-                print(now, recorder.rows, pause, flush=True)
-                time.sleep(0.002)
-        """
-    with run_python(body, path) as process:
-        assert process.stdout is not None
-        first = newest = recorded = pause = 0
-        for line in process.stdout:
-            newest, recorded, pause = map(int, line.split())
-            first = first or newest
-            if newest - first > 1_500_000_000 and recorded:
-                break
+    with forked(record_for_ever, path) as (process, messages):
+        first, recorded, pause = messages.recv()
+        newest = first
+        while newest - first < 1_200_000_000 * AT_RISK_S or not recorded:
+            newest, recorded, pause = messages.recv()
         (loop,) = [loop for loop in running() if loop.pid == process.pid]
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.kill()
+        process.join()
         assert loop.pid not in [other.pid for other in running(done=True)]
     found = open_recording(path)
     assert not found.complete
@@ -269,29 +245,29 @@ def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
     assert recovered.rows == len(found)
 
 
-def test_full_disk_keeps_the_rows_before_and_leaves_no_empty_file(tmp_path: Path) -> None:
+def fill_the_disk(parent: Connection, path: Path) -> None:
     """A file size limit stands in for a full disk: it gives EFBIG where that gives ENOSPC, on the same path."""
+    producer = Producer(Ring.allocate(4096))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, 300_000))
+    try:
+        with Recorder(f"{path}0", HEADER, producer.ring) as recorder:
+            producer.put(recorder, 1)
+    except RecordingError as error:
+        parent.send(str(error))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+    try:
+        with Recorder(path, HEADER, producer.ring, block_rows=200, flush_s=10.0) as recorder:
+            while not recorder.error:
+                producer.put(recorder, 100)
+            recorder.finish({"reason": "finished"})
+    except RecordingError as error:
+        parent.send(f"{error}; {recorder.rows}")
+
+
+def test_full_disk_keeps_the_rows_before_and_leaves_no_empty_file(tmp_path: Path) -> None:
     path = tmp_path / "trial.rigcap"
-    body = """
-        import resource
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100, 300_000))
-        try:
-            with Recorder(sys.argv[1] + "0", example_header(), ring) as recorder:
-                put(1)
-        except RecordingError as error:
-            print(error)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
-        try:
-            with Recorder(sys.argv[1], example_header(), ring, block_rows=200, flush_s=10.0) as recorder:
-                while not recorder.error:
-                    put(100)
-                recorder.finish({"reason": "finished"})
-        except RecordingError as error:
-            print(f"{error}; {recorder.rows}")
-        """
-    with run_python(body, path) as process:
-        assert process.stdout is not None
-        header_refused, rows_refused = process.stdout.read().splitlines()
+    with forked(fill_the_disk, path) as (_, messages):
+        header_refused, rows_refused = messages.recv(), messages.recv()
     assert header_refused.startswith(f"cannot write {path}0: File too large; free some space")
     assert list(tmp_path.iterdir()) == [path]
     message, _, rows = rows_refused.rpartition("; ")

@@ -18,14 +18,14 @@ def check(run: DiskRun, made: int) -> None:
 
 
 @pytest.mark.parametrize("shared", first_by_default([False, True]))
-def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool) -> None:
+def test_a_stall_of_the_disk_and_of_python_costs_no_row(shared: bool) -> None:
     """The loop runs at 10 kHz with a trial's usual ring of 5 s."""
-    run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], shared=shared)
-    check(run, round(1.4 * RATE))
-    assert run.longest_hold_s > 0.9
+    run = record_on_a_pausing_disk(0.65, rate_hz=RATE, pauses=[(0.1, 0.4)], shared=shared)
+    check(run, round(0.65 * RATE))
+    assert run.longest_hold_s > 0.35
     if run.worst_late_s < 1.0:  # else the machine stood still, and rows came in a burst
         assert run.dropped == 0
-        assert run.fullest > 0.5 * RATE  # the ring did carry the stall
+        assert run.fullest > 0.2 * RATE  # the ring did carry the stall
 
 
 @pytest.mark.exhaustive(
@@ -33,9 +33,9 @@ def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool)
 )
 def test_a_stall_longer_than_the_ring_costs_what_the_ring_cannot_hold_and_no_more() -> None:
     """Scaled down from a stall of 6 s with a ring of 5 s: rows that fit arrive, the others are counted."""
-    run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], ring_s=0.25)
-    check(run, round(1.4 * RATE))
-    assert run.fullest == 0.25 * RATE
-    # Of a second's rows the ring holds a quarter; a block, the pipe and its reader hold some thousands more.
+    run = record_on_a_pausing_disk(0.95, rate_hz=RATE, pauses=[(0.1, 0.7)], ring_s=0.15)
+    check(run, round(0.95 * RATE))
+    assert run.fullest == 0.15 * RATE
+    # Of the stall's rows the ring holds a fifth; a block, the pipe and its reader hold some thousands more.
     if run.worst_late_s < 0.1:
-        assert 0 < run.dropped < 0.8 * RATE
+        assert 0 < run.dropped < 0.55 * RATE
