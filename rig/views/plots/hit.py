@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core import program
-from rig.core.sample import Phase, RowFlag, unit_of
+from rig.core.sample import Phase, RowFlag, phase_name, unit_of
 from rig.recording.data import Recording
 from rig.recording.origin import counts_facts
 from rig.recording.reader import open_recording
@@ -136,8 +136,9 @@ def _contact(recording: Recording) -> NDArray[np.int64]:
 
 
 def _last_phase(recording: Recording) -> str:
-    phases = [Phase(phase) for phase in recording.rows["phase"] if phase != Phase.DONE]
-    return phases[-1].name.lower() if phases else "nothing"
+    phases = recording.rows["phase"]
+    phases = phases[phases != Phase.DONE]
+    return phase_name(int(phases[-1])) if len(phases) else "nothing"
 
 
 def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:

@@ -3,8 +3,6 @@
 import itertools
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
 from datetime import date
@@ -77,13 +75,13 @@ def experiment_or_error(make: Callable[[], Experiment]) -> Experiment | str:
 VALUES = (None, -1, 2.0, math.nan, True, "x", "firm", [1.0, 2], {"a": 1})
 
 
-@pytest.mark.parametrize("name", first_by_default(["koul-compliant", "chawda-linear"]))
-def test_a_change_is_equal_to_a_file_on_that_preset_or_refused_alike(name: str) -> None:
+@pytest.mark.parametrize(("name", "every"), first_by_default([("koul-compliant", 4), ("chawda-linear", 1)]))
+def test_a_change_is_equal_to_a_file_on_that_preset_or_refused_alike(name: str, every: int) -> None:
     """A change sets fields of a checked experiment, whereas a file is checked as a whole."""
     base, source = presets.load(name), f"hit.toml (on preset {name})"
     names = parameters().keys() - {"rig.name"}  # a file with a name of its own has a homing servo of its own
     keys = [*sorted(names), "realtime.wall.stiffness", "realtime.nonsense", "rig.limits", "wall.nonsense", ""]
-    for key, value in itertools.product(keys, VALUES):
+    for key, value in itertools.islice(itertools.product(keys, VALUES), 0, None, every):
         file = {"preset": name, **nest({key: value})}
         expected = experiment_or_error(partial(experiment_from_mapping, file, "hit.toml"))
         found = experiment_or_error(partial(override, base, {key: value}, source))
@@ -666,12 +664,3 @@ def test_plug_ins_are_checked_by_name_and_setting() -> None:
         check_plugins(override(KOUL, {"wall.law": "spring"}), "hit.toml")
     with pytest.raises(ConfigError, match=r"hit\.toml: controller\.parameters: .*window.*cutoff_hz"):
         check_plugins(override(KOUL, {"controller.parameters.window": 3}), "hit.toml")
-
-
-def test_describing_an_experiment_costs_no_pydantic_and_loading_one_no_numba() -> None:
-    code = (
-        "import sys, rig.config; assert 'pydantic' not in sys.modules\n"
-        "from rig.config import presets; presets.load('koul-compliant')\n"
-        "heavy = {'numba', 'scipy', 'matplotlib', 'pyarrow'} & set(sys.modules); assert not heavy, heavy"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

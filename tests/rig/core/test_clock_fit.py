@@ -122,7 +122,7 @@ def test_the_truth_lies_within_three_sigma_and_the_bound(
     ),
     ids=["both-ways-wait", "bursts", "back-waits", "out-waits-on-a-fast-link", "asymmetric", "quiet"],
 )
-@pytest.mark.parametrize(("count", "span_s"), [(10, 1.0), (150, 15.0)])
+@pytest.mark.parametrize(("count", "span_s"), [(10, 1.0), (60, 6.0)])
 def test_three_sigma_cover_the_truth(link: Any, count: int, span_s: float) -> None:
     """Over 100 seeds, offsets at start, middle and end, and the drift, are covered at least 97 times each."""
     seeds = 100

@@ -377,13 +377,15 @@ def test_a_kernel_is_compiled_for_its_signatures_and_no_others() -> None:
 
 LIGHT = """
 import sys
-import rig.control.excitation
+import rig.config, rig.control.excitation
 heavy = {"numba", "scipy", "pydantic"} & set(sys.modules)
 assert not heavy, heavy
+from rig.config import presets
+presets.load("koul-compliant")
 import firmware_protocol, rig, rig.control.estimators, rig.control.verdict
 import rig.recording.export, rig.recording.reader, rig.recording.seal
 rig.control.estimators.names()
-heavy = {"numba", "scipy", "pandas", "pyarrow"} & set(sys.modules)
+heavy = {"numba", "scipy", "pandas", "pyarrow", "matplotlib"} & set(sys.modules)
 assert not heavy, heavy
 """
 

@@ -27,10 +27,12 @@ BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 def test_the_name_chooses_the_format_and_the_same_picture_has_the_same_bytes(
     ending: str, tmp_path: Path
 ) -> None:
-    first, second = (style.save(a_figure(), tmp_path / f"{n}.{ending}").read_bytes() for n in "ab")
+    first, second = (
+        style.save(a_figure(), tmp_path / name).read_bytes()
+        for name in (f"a.{ending}", f"b.{ending.upper()}")
+    )
     assert first.startswith(BEGINS[ending])
     assert first == second
-    assert style.save(a_figure(), tmp_path / f"c.{ending.upper()}").read_bytes() == first
     text = {"svg": "K_max (N·m/rad)".encode(), "pdf": b"/FontFile2"}  # text, not drawn outlines
     assert text.get(ending, b"") in first
 
@@ -74,8 +76,8 @@ def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(
 
 
 def test_pictures_that_two_threads_draw_at_once_leave_the_settings_of_the_user(tmp_path: Path) -> None:
-    with matplotlib.rc_context({"font.size": 31.0}), ThreadPoolExecutor(4) as threads:
-        list(threads.map(lambda number: style.save(a_figure(), tmp_path / f"{number}.svg"), range(4)))
+    with matplotlib.rc_context({"font.size": 31.0}), ThreadPoolExecutor(2) as threads:
+        list(threads.map(lambda number: style.save(a_figure(), tmp_path / f"{number}.svg"), range(2)))
         assert matplotlib.rcParams["font.size"] == 31.0
 
 

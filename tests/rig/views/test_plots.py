@@ -45,6 +45,11 @@ def recording(path: Any) -> Any:
     return open_recording(path)
 
 
+@pytest.fixture(scope="module")
+def figure(recording: Any) -> Any:
+    return hit_figure(recording)
+
+
 def without_truth(recording: Any) -> Any:
     names = [name for name in recording.names if not name.endswith("_true")]
     rows = np.zeros(len(recording), [(name, recording.rows.dtype[name]) for name in names])
@@ -88,8 +93,8 @@ def test_a_hit_is_drawn_beside_its_recording_as_a_png(path: Any, picture: Path) 
     assert 20_000 < len(png) < 500_000
 
 
-def test_the_picture_shows_the_hit_from_shortly_before_contact(recording: Any) -> None:
-    impact, push = panels(hit_figure(recording))
+def test_the_picture_shows_the_hit_from_shortly_before_contact(recording: Any, figure: Any) -> None:
+    impact, push = panels(figure)
     measured = line(push[0], "measured")
     time_s = measured.get_xdata()
     touches = (recording.rows["phase"] == Phase.TRIAL) & (recording.rows["penetration"] > 0)
@@ -110,8 +115,8 @@ def test_the_picture_shows_the_hit_from_shortly_before_contact(recording: Any) -
     assert {"measured", "true, handle", "estimated", "sent: wall and push", "wall alone", "wall"} <= labels
 
 
-def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording: Any) -> None:
-    effort = panels(hit_figure(recording))[1][2]
+def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording: Any, figure: Any) -> None:
+    effort = panels(figure)[1][2]
     wall, sent = line(effort, "wall alone"), line(effort, "sent: wall and push").get_ydata()
     pushed = wall.get_xdata() >= 0.0
     assert wall.get_ydata().min() < 0.0, "against the push, which is positive"
@@ -120,25 +125,25 @@ def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording
     np.testing.assert_allclose(sent[pushed], push + wall.get_ydata()[pushed], atol=0.501 * quantum)
 
 
-def test_the_title_has_rig_and_verdict(recording: Any) -> None:
-    assert "koul-compliant" in hit_figure(recording)._suptitle.get_text()
+def test_the_title_has_rig_and_verdict(recording: Any, figure: Any) -> None:
+    assert "koul-compliant" in figure._suptitle.get_text()
     verdict = {"kind": "limit cycle", "reasons": ["heard"]}
     judged = replace(recording, trailer={**recording.trailer, "verdict": verdict})
     assert "limit cycle: heard" in hit_figure(judged)._suptitle.get_text()
     assert "not finished" in hit_figure(replace(recording, trailer=None))._suptitle.get_text()
 
 
-def test_saturation_and_gaps_are_marked(recording: Any) -> None:
+def test_saturation_and_gaps_are_marked(recording: Any, figure: Any) -> None:
     limit = recording.experiment["rig"]["limits"]["effort"]
 
-    def marks(shown: Any) -> Any:
-        return {drawn.get_label() for axes in hit_figure(shown).axes for drawn in axes.lines}
+    def marks(figure: Any) -> Any:
+        return {drawn.get_label() for axes in figure.axes for drawn in axes.lines}
 
     words = {f"at ±{limit:g}", "gap in the samples"}
-    assert not marks(recording) & words
+    assert not marks(figure) & words
     flags = recording.rows["flags"].copy()
     flags[-3000::100] |= int(RowFlag.SATURATED | RowFlag.GAP)
-    assert words <= marks(changed(recording, flags=flags))
+    assert words <= marks(hit_figure(changed(recording, flags=flags)))
 
 
 # ---------------------------------------------------------------------- recordings that are not whole
