@@ -1,6 +1,7 @@
-"""Import libraries before pytester runs: it forgets its imports, which compiled libraries do not survive."""
+"""Keep what pytester's runs import: it forgets its imports, which compiled libraries do not survive."""
 
 import gc
+import sys
 import warnings
 from collections.abc import Iterator
 from functools import partialmethod
@@ -8,14 +9,11 @@ from pathlib import Path
 
 import numba
 import pytest
+from _pytest.pytester import SysModulesSnapshot
 
 if numba.config.DISABLE_JIT:
     collect_ignore_glob = ["test_*.py"]  # the loop is compiled
 
-import rig.testing.every_frame
-import rig.testing.golden
-import rig.testing.maps
-import rig.testing.served  # noqa: F401
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.testing import Experiments
@@ -33,12 +31,22 @@ def _loaded(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _captures_closed(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Close captures that an interrupted pytest run in this process left open, before the next test."""
+def _nothing_else_is_left(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """After a run of pytest in this process forget its test files, and close captures that it left open."""
+    if "pytester" not in request.fixturenames:
+        yield
+        return
+    own = str(request.getfixturevalue("pytester").path)
+
+    def forget_tests(_: SysModulesSnapshot) -> None:
+        for name, module in list(sys.modules.items()):
+            if (getattr(module, "__file__", None) or "").startswith(own):
+                del sys.modules[name]
+
+    monkeypatch.setattr(SysModulesSnapshot, "restore", forget_tests)
     yield
-    if "pytester" in request.fixturenames:
-        with warnings.catch_warnings(action="ignore", category=ResourceWarning):
-            gc.collect()
+    with warnings.catch_warnings(action="ignore", category=ResourceWarning):
+        gc.collect()
 
 
 @pytest.fixture
