@@ -18,6 +18,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rig.core.deferred import special
+
 CONFIDENCE = 0.95  # of each bound by itself
 
 
@@ -99,16 +101,8 @@ def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -
 # Cached: all stages of a ledger have the same number of ticks.
 @lru_cache
 def _ranks_of_bounds(number: int, share: float, confidence: float) -> tuple[int, int]:
-    # Not `scipy.special.bdtrik`, which gives the same ranks (tests compare them): it takes 0.2 s to load, in each hit.
-    # Further than 12 standard deviations, or 40 values of a rare event, from the mean no term counts in doubles.
-    reach = 12.0 * math.sqrt(number * share * (1.0 - share)) + 40.0
-    first, last = max(0, int(number * share - reach)), min(number, int(number * share + reach) + 1)
-    below = np.arange(first, last + 1)
-    steps = np.log((number - below[:-1]) / below[1:] * (share / (1.0 - share)))
-    logarithms = np.concatenate(([0.0], np.cumsum(steps)))
-    cumulative = np.cumsum(np.exp(logarithms - logarithms.max()))
-    low, high = np.searchsorted(cumulative / cumulative[-1], (1.0 - confidence, confidence))
-    return first + int(low), first + int(high) + 1
+    low, high = (math.ceil(special.bdtrik(one, number, share)) for one in (1.0 - confidence, confidence))
+    return low, high + 1
 
 
 def share_bounded_by_largest(number: int, confidence: float = CONFIDENCE) -> float:
