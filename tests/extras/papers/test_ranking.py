@@ -194,8 +194,8 @@ def test_an_unknown_rig_or_estimator_is_refused() -> None:
         measure.measure_rig("chawda-linear", **{**SMALL, "pairs": (), "entries": [entry]})
 
 
-PAIRS = (Pair("fdm"), Pair("disturbance", law=rule.ESTIMATED))
-ENTRY = Tuned(estimator="disturbance", parameter="frequency_hz", low=10.0, high=20.0, per_rate=False)
+PAIRS = (Pair("disturbance", law=rule.ESTIMATED),)
+ENTRY = Tuned(estimator="disturbance", parameter="frequency_hz", low=10.0, high=12.0, per_rate=False)
 SMALL: dict[str, Any] = {
     "pairs": PAIRS,
     "entries": [ENTRY],
@@ -208,10 +208,11 @@ SMALL: dict[str, Any] = {
 def test_a_small_ranking_with_an_own_entry_resumes_from_its_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(rule, "OFFSETS", (0.6,))
     whole = measure.measure_rig("chawda-linear", directory=tmp_path, **SMALL)
     assert list(whole["conditions"]) == [*(pair.name for pair in PAIRS), ENTRY.estimator]
     assert all(len(cells["none/0"][0]) == 2 for cells in whole["conditions"].values())
-    assert 10.0 <= whole["tuned"]["disturbance"]["frequency_hz"] <= 22.0  # the entry's range, not the table's
+    assert 10.0 <= whole["tuned"]["disturbance"]["frequency_hz"] <= 13.0  # the entry's range, not the table's
     assert json.loads(json.dumps(whole)) == whole
     journal = tmp_path / "chawda-linear-judging.journal"
     lines = journal.read_bytes().splitlines(keepends=True)

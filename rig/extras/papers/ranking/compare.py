@@ -5,7 +5,7 @@ The page of the ranking uses it. It must not run a hit: `measure` computes the a
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -47,15 +47,17 @@ def compare_areas(first: tuple[float, ...], second: tuple[float, ...]) -> Ratio:
     Both have a value for each variation, in the same order.
     """
     log_ratios = np.log(first) - np.log(second)
-    means = log_ratios[_resamples(len(log_ratios))].mean(axis=1)
+    means = _resampling_weights(len(log_ratios)) @ log_ratios
     edge = 50.0 * (1.0 - rule.CONFIDENCE)
     low, high = np.percentile(means, [edge, 100.0 - edge])
     return Ratio(math.exp(log_ratios.mean()), math.exp(low), math.exp(high))
 
 
 @cache
-def _resamples(variations: int) -> NDArray[np.int64]:
-    return np.random.default_rng(rule.SEED).integers(0, variations, (rule.RESAMPLED, variations))
+def _resampling_weights(variations: int) -> NDArray[np.float64]:
+    """Return each resample's mean as weights of the variations: a product is several times faster than drawing rows."""
+    drawn = np.random.default_rng(rule.SEED).integers(0, variations, (rule.RESAMPLED, variations))
+    return np.stack([(drawn == number).mean(axis=1) for number in range(variations)], axis=1)
 
 
 class Cell(NamedTuple):
@@ -125,25 +127,35 @@ class RigResults:
         """Return the area of walls that one estimator–law pair renders, divided by that of the pair `other`."""
         return compare_areas(self.areas(pair, grip, delay), self.areas(other, grip, delay))
 
-    def never_lose(self, delay: str) -> list[str]:
-        """Return the estimator–law pairs that win or tie against the best other pair at each grip, and without hand."""
-        return [pair for pair in self.pairs if "loses" not in self._outcomes(pair, delay)]
-
-    def recommended(self, delay: str, *, own_laws: bool = True) -> list[str]:
-        """Return the estimator–law pairs that never lose and win at least once; empty if a grip was not measured.
+    def never_lose(self, delay: str, *, own_laws: bool = True) -> list[str]:
+        """Return the estimator–law pairs that win or tie against the best other pair at each grip, and without hand.
 
         Other pairs of the same estimator are rivals too, unless `own_laws` is False.
         """
-        complete = self.grips == list(rule.CONDITIONS)
-        outcomes = {pair: self._outcomes(pair, delay, own_laws=own_laws) for pair in self.pairs if complete}
-        return [pair for pair, found in outcomes.items() if "loses" not in found and "wins" in found]
+        return [
+            pair
+            for pair in self.pairs
+            if "loses" not in self._compare_with_best(pair, delay, own_laws=own_laws)
+        ]
 
-    def _outcomes(self, pair: str, delay: str, *, own_laws: bool = True) -> list[Outcome]:
+    def recommended(self, delay: str, *, own_laws: bool = True) -> list[str]:
+        """Return the estimator–law pairs that never lose and win at least once; empty if a grip was not measured."""
+        if self.grips != list(rule.CONDITIONS):
+            return []
+        return [
+            pair
+            for pair in self.never_lose(delay, own_laws=own_laws)
+            if "wins" in self._compare_with_best(pair, delay, own_laws=own_laws)
+        ]
+
+    def _compare_with_best(self, pair: str, delay: str, *, own_laws: bool) -> Iterator[Outcome]:
+        """Yield the outcome at each grip; the caller stops at the first that decides, as each needs a bootstrap."""
         own = pair.partition(", ")[0]
         rivals = [
             rival for rival in self.pairs if rival != pair and (own_laws or rival.partition(", ")[0] != own)
         ]
-        return [self.ratio(pair, self.best(grip, delay, rivals), grip, delay).outcome for grip in self.grips]
+        for grip in self.grips:
+            yield self.ratio(pair, self.best(grip, delay, rivals), grip, delay).outcome
 
 
 def scores(rigs: Sequence[RigResults], delay: str) -> dict[str, float]:
