@@ -36,6 +36,7 @@ PARTS = {  # random parts of a participant, as formulas within a participant
     "participant × condition": "0 + condition",
     "participant × damping": "0 + damping",
 }
+COVARIATES = ("order", "block")
 RESIDUAL = "residual"
 _STARTS = (0.01, 1.0)  # of every variance, in the residual's
 _MOST = 1e7  # of a variance, in the residual's: beyond it nothing is left for the residual
@@ -277,7 +278,7 @@ class _Design:
         middle, scale = frame["limit"].mean(), frame["limit"].std(ddof=0) or 1.0
         frame["limit"] = (frame["limit"] - middle) / scale
         design = cls(frame, cells, float(middle), float(scale), rounding)
-        for name in ("order", "block"):
+        for name in COVARIATES:
             frame[name] -= frame[name].mean()
             if np.ptp(frame[name]) == 0.0:
                 continue
@@ -293,10 +294,14 @@ class _Design:
 
     def columns(self, *terms: str) -> Floats:
         """Return the design matrix of ``0 + terms``: all values of the first factor, all but one of later ones."""
-        made = [
-            pandas.get_dummies(self.frame[[term]], drop_first=place > 0, dtype=np.float64)
-            for place, term in enumerate(terms)
-        ]
+        made = []
+        for place, term in enumerate(terms):
+            values = self.frame[term].to_numpy()
+            if term in COVARIATES:
+                made.append(values[:, None])
+            else:
+                levels, own = np.unique(values.astype(str), return_inverse=True)
+                made.append(np.eye(len(levels))[own, min(place, 1) :])
         return np.hstack(made)
 
     def rank(self, *terms: str) -> int:

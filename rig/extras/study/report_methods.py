@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -127,11 +128,15 @@ def effective(found: StudyAnalysis) -> dict[str, Experiment | RigError]:
 
 def first_experiment(found: StudyAnalysis) -> Experiment:
     """Return the experiment of the first condition; the study's base experiment if its estimator is not installed."""
-    protocol = found.study.protocol
-    first = effective(found)[protocol.condition[0].name]
-    return first if isinstance(first, Experiment) else walls_in(found.study.sessions[0].state).base
+    state = found.study.sessions[0].state
+    walls = walls_in(state)
+    try:
+        return walls.softest(state.protocol.condition[0])
+    except RigError:
+        return walls.base
 
 
+@cache  # reading the metadata of five packages takes as long as a whole page
 def analysed_with() -> dict[str, str]:
     """Return the versions of the programs and libraries that compute this analysis, by name."""
     found = {}
