@@ -76,7 +76,7 @@ def study(tmp_path_factory: pytest.TempPathFactory, hit: Any) -> Any:
     where = tmp_path_factory.mktemp("study")
     mapping = protocol(
         study={"code": CODES},
-        search={"settings": {"turns": 2, "most": 6}, "step": 100.0},
+        search={"settings": {"turns": 2, "most": 3}, "step": 100.0},
         order={"repeats": 1},
         practice={"stiffness": [100.0]},
         question=[

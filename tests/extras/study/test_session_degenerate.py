@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.extras.study import StudyAnalysis, analyse, write_study_tables
-from rig.extras.study.plots import pictures
+from rig.extras.study.plots import pictures, tracks_name
 from rig.extras.study.report import render
 from tests.conformance.studies import Person, protocol, write_study
 from tests.conformance.tiers import first_by_default
@@ -85,8 +85,11 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
     written = write_study_tables(found, tmp_path / "out")
     assert {"runs.csv", "differences.csv", "tables.json"} <= set(written)
     assert render(found, {})
-    for draw in pictures(found).values():
-        draw(found).draw_without_rendering()
+    others = [tracks_name(code) for code in list(of)[1:]]
+    for name, draw in pictures(found).items():
+        if name not in others:  # the searches of one person are drawn as those of any other
+            figure = draw(found)
+            figure.get_layout_engine().execute(figure)
     if len(of) < 3 or len({one.threshold("dual", 0.0) for one in of.values()}) == 1:
         assert reported_inferences(found) == []
 
