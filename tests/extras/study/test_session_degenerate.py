@@ -86,8 +86,8 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
     assert {"runs.csv", "differences.csv", "tables.json"} <= set(written)
     assert render(found, {})
     others = [tracks_name(code) for code in list(of)[1:]]
-    for name, draw in pictures(found).items():
-        if name not in others:  # the searches of one person are drawn as those of any other
+    for picture, draw in pictures(found).items():
+        if picture not in others:  # the searches of one person are drawn as those of any other
             figure = draw(found)
             figure.get_layout_engine().execute(figure)
     if len(of) < 3 or len({one.threshold("dual", 0.0) for one in of.values()}) == 1:
