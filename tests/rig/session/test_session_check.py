@@ -2,6 +2,8 @@
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,11 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig import devices
 from rig.cli import run
 from rig.config import override
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
+from rig.core.model import RigModel
 from rig.core.present import plain
+from rig.devices.framed import FramedDevice
 from rig.doctor.pace import Pace
 from rig.experiments.trials.plan import predict_impact
 from rig.session.engine._check import check
@@ -59,7 +64,7 @@ def check_named(plan: StudyPlan, name: str) -> Check:
     return found
 
 
-@pytest.mark.parametrize("name", first_by_default(sorted(template_names(), reverse=True)))
+@pytest.mark.parametrize("name", first_by_default(sorted(template_names(), key=lambda name: name != DEFAULT)))
 def test_every_template_passes_on_its_preset(name: str, tmp_path: Path) -> None:
     found = check(template(name, tmp_path), tmp_path, participants=2)
     assert found.ok, [one for one in found.checks if one.outcome is Outcome.REFUSED]
@@ -110,24 +115,34 @@ def test_a_plan_lists_what_is_hidden_from_whom(plan: StudyPlan, schemes: Protoco
     assert len(check(replace(schemes, study=study), Path()).hidden) == 1
 
 
-def outcome_of(one: Protocol, name: str, **changes: Any) -> Outcome:
-    return check_named(check(replace(one, **changes), Path()), name).outcome
-
-
 def test_unsuitable_settings_are_warned_of_or_refused(schemes: Protocol, plan: StudyPlan) -> None:
+    """Each plan has several unsuitable settings, which its checks name apart."""
     likely = max(cell.expected.limit.likely for cell in plan.cells)
     least = max(cell.expected.limit.least for cell in plan.cells)
-    for lowest, highest in ((100.0, 0.9 * likely), (1.1 * likely, 1.6 * likely)):
-        assert least < highest
-        narrow = Search(lowest=lowest, highest=highest, ratio=1.05)
-        assert outcome_of(schemes, "expected limits", search=narrow, caps=Caps()) is Outcome.WARNING
-    assert outcome_of(schemes, "order", study=replace(schemes.study, participants=7)) is Outcome.WARNING
-    assert outcome_of(schemes, "order", order=replace(schemes.order, kind="fixed")) is Outcome.WARNING
-    assert outcome_of(schemes, "stop.trials", stop=Stop(trials=10)) is Outcome.REFUSED
-    assert outcome_of(schemes, "stop.trials", stop=Stop(trials=round(plan.trials.likely))) is Outcome.WARNING
-    assert outcome_of(schemes, "stop.minutes", stop=Stop(minutes=0.5)) is Outcome.REFUSED
-    many = replace(schemes, order=replace(schemes.order, repeats=20), rest=Rest(), stop=Stop())
-    assert outcome_of(many, "rest") is Outcome.WARNING
+    study, order = schemes.study, schemes.order
+    above = Search(lowest=100.0, highest=0.9 * likely, ratio=1.15)
+    below = Search(lowest=1.1 * likely, highest=1.6 * likely, ratio=1.05)
+    assert least < above.highest
+    wrong: list[tuple[dict[str, Any], dict[str, Outcome]]] = [
+        (
+            {"search": above, "caps": Caps(), "order": replace(order, kind="fixed"), "stop": Stop(trials=10)},
+            {"expected limits": Outcome.WARNING, "order": Outcome.WARNING, "stop.trials": Outcome.REFUSED},
+        ),
+        (
+            {
+                "search": below,
+                "caps": Caps(),
+                "study": replace(study, participants=7),
+                "stop": Stop(minutes=0.5),
+            },
+            {"expected limits": Outcome.WARNING, "order": Outcome.WARNING, "stop.minutes": Outcome.REFUSED},
+        ),
+        ({"stop": Stop(trials=round(plan.trials.likely))}, {"stop.trials": Outcome.WARNING}),
+        ({"order": replace(order, repeats=20), "rest": Rest(), "stop": Stop()}, {"rest": Outcome.WARNING}),
+    ]
+    for changes, outcomes in wrong:
+        found = check(replace(schemes, **changes), Path())
+        assert {name: check_named(found, name).outcome for name in outcomes} == outcomes
 
 
 @pytest.mark.parametrize("rule", first_by_default(["staircase", "interleaved"]))
@@ -191,7 +206,18 @@ def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, sch
     assert f"for example uniform 20 kHz, K = {bent[0].wall.stiffness:g} N·m/rad" in effort.text
 
 
-def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol, plan: StudyPlan) -> None:
+def test_a_device_is_asked_for_its_rate_only_when_it_is_named(
+    schemes: Protocol, plan: StudyPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The device here is not a process, but has the highest rate of one that is simulated in real time."""
+
+    @contextmanager
+    def open_slow(url: str, model: RigModel, **_: Any) -> Iterator[FramedDevice]:
+        with devices.open_device(url, model) as device:
+            device._dictionary = replace(device.dictionary, position_rate_maximum=4000)
+            yield device
+
+    monkeypatch.setattr("rig.session.engine._hits.open_for_run", open_slow)
     assert not [one for one in plan.checks if one.name == "device rate"]
     asked = check_named(
         check(schemes, Path(), of_device=partial(device_checks, "sim://koul-compliant")), "device rate"
