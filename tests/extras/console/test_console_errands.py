@@ -13,7 +13,6 @@ from rig.extras.console import errands as sent
 from rig.extras.console.errands import Errands
 
 
-@pytest.mark.exhaustive("::test_no_more_processes_than_there_is_room_for")
 async def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path: Path) -> None:
     errands = Errands()
     try:

@@ -27,6 +27,7 @@ from rig.recording._parquet import write_parquet
 from rig.recording.data import Recording
 from rig.recording.export import export
 from rig.recording.reader import open_recording
+from rig.views.plots import style
 from tests.conformance.tiers import first_by_default
 from tests.extras.console.console_fakes import Page, ask, frame_of, run, shared
 
@@ -209,7 +210,10 @@ def test_an_export_is_that_of_the_command(output: Path, tmp_path: Path, form: st
         assert sidecar.body == (tmp_path / "exported.csv.json").read_bytes()
 
 
-def test_a_picture_is_given_or_drawn_where_it_is_asked_for(output: Path) -> None:
+def test_a_picture_is_given_or_drawn_where_it_is_asked_for(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(style, "DPI", 10)
     assert fetch(output, "/recordings/one.parquet/picture").body == b"a picture"
     (output / "one.png").unlink()
     with pytest.raises(ConfigError, match="no picture"):

@@ -75,6 +75,7 @@ async def test_no_value_in_a_request_is_a_defect(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(Errands, "run", Here.run)
     monkeypatch.setattr(Jobs, "start", not_started)
     monkeypatch.setattr("rig.extras.console.bounds.MOST_A_SECOND", 1e9)
+    monkeypatch.setattr("rig.extras.console.live.FRAME_S", 0.001)  # a zoom is answered with the next frame
     monkeypatch.chdir(tmp_path)
     defects: dict[tuple[str, str], str] = {}
     async with served(tmp_path) as console, console.page() as page:

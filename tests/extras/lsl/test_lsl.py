@@ -206,10 +206,14 @@ def test_a_hit_in_real_time_is_streamed_as_it_is_recorded(
 
 
 def test_a_session_continues_without_the_process_that_streams(
-    pylsl: Any, caplog: pytest.LogCaptureFixture
+    pylsl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    marks = LslMarks(name=f"test-{uuid.uuid4().hex[:8]}", rate=-1.0)
-    with pytest.raises(RigError, match=r"-1\.0"):
+    failing = tmp_path / "python"
+    failing.write_text("#!/bin/sh\necho no outlet is possible >&2\nexit 2\n")
+    failing.chmod(0o755)
+    monkeypatch.setattr("rig.extras.lsl.session.sys.executable", str(failing))
+    marks = LslMarks()
+    with pytest.raises(RigError, match="no outlet is possible"):
         marks.wait()
     for _ in range(3):
         marks.push("begins", trial=1)
