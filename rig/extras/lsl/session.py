@@ -89,19 +89,9 @@ class LslMarks:
         expected: tuple[Motion, float] | None = None,
     ) -> None:
         _refuse_if_missing()
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "rig",
-            "serve",
-            "lsl",
-            "--json",
-            "--markers",
-            "--pid",
-            str(os.getpid()),
-        ]
-        command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
+        command = [sys.executable, "-P", "-m", "rig", "serve", "lsl", "--json", "--markers"]
+        command += ["--pid", str(os.getpid()), "--name", name]
+        command += [] if rate is None else ["--rate", repr(rate)]
         command += ["--blind"] if blind else []
         command += [] if expected is None else ["--open-early", expected[0], repr(expected[1])]
         self._output, self._errors = TemporaryFile(), TemporaryFile()  # noqa: SIM115  (until `close`)

@@ -296,12 +296,9 @@ class _Design:
         """Return the design matrix of ``0 + terms``: all values of the first factor, all but one of later ones."""
         made = []
         for place, term in enumerate(terms):
-            values = self.frame[term].to_numpy()
-            if term in COVARIATES:
-                made.append(values[:, None])
-            else:
-                levels, own = np.unique(values.astype(str), return_inverse=True)
-                made.append(np.eye(len(levels))[own, min(place, 1) :])
+            values = self.frame[[term]].to_numpy()
+            levels = np.unique(values)[min(place, 1) :]
+            made.append(values if term in COVARIATES else (values == levels).astype(np.float64))
         return np.hstack(made)
 
     def rank(self, *terms: str) -> int:

@@ -128,10 +128,9 @@ def effective(found: StudyAnalysis) -> dict[str, Experiment | RigError]:
 
 def first_experiment(found: StudyAnalysis) -> Experiment:
     """Return the experiment of the first condition; the study's base experiment if its estimator is not installed."""
-    state = found.study.sessions[0].state
-    walls = walls_in(state)
+    walls = walls_in(found.study.sessions[0].state)
     try:
-        return walls.softest(state.protocol.condition[0])
+        return walls.softest(walls.protocol.condition[0])
     except RigError:
         return walls.base
 

@@ -76,7 +76,7 @@ class Cluster:
 
     def add_worker(self) -> None:
         options = ["--nthreads", "1", "--local-directory", str(self._directory), "--no-nanny"]
-        self.workers.append(self._start("dask_worker", self.address, *options))
+        self.workers.append(self._start_dask("worker", self.address, *options))
 
     def _have_a_scheduler(self) -> None:
         if self.scheduler is not None and self.scheduler.poll() is None:
@@ -84,28 +84,24 @@ class Cluster:
         while self.workers:
             _end(self.workers.pop())
         facts = self._directory / f"scheduler-{next(self._numbers)}.json"
-        self.scheduler = self._start(
-            "dask_scheduler", "--port", "0", "--scheduler-file", str(facts), "--no-jupyter"
-        )
+        self.scheduler = self._start_scheduler(facts)
         until = time.monotonic() + START_S
         while not facts.exists() or not facts.read_text().endswith("}"):
             assert time.monotonic() < until, "the scheduler did not start"
             time.sleep(0.02)
         self.address = json.loads(facts.read_text())["address"]
 
-    def _start(self, command: Any, *arguments: Any) -> Any:
+    def _start_scheduler(self, facts: Path) -> Any:
+        return self._start_dask("scheduler", "--port", "0", "--scheduler-file", str(facts), "--no-jupyter")
+
+    def _start_dask(self, command: str, *options: str) -> Any:
+        module = f"distributed.cli.dask_{command}"
+        return self._start("-m", module, "--host", "127.0.0.1", "--no-dashboard", *options)
+
+    def _start(self, *arguments: str) -> Any:
         with (self._directory / f"log-{next(self._numbers)}").open("wb") as log:
             return subprocess.Popen(
-                [
-                    *LEASH,
-                    sys.executable,
-                    "-m",
-                    f"distributed.cli.{command}",
-                    "--host",
-                    "127.0.0.1",
-                    "--no-dashboard",
-                    *arguments,
-                ],
+                [*LEASH, sys.executable, *arguments],
                 cwd=self._directory,
                 env={**os.environ, "PYTHONPATH": str(ROOT)},
                 stdout=log,
@@ -119,49 +115,31 @@ def _end(process: Any) -> None:
 
 
 IN_ONE_PROCESS = """
-import sys
+import json, sys, threading
 from distributed import LocalCluster
 options = {"n_workers": 2, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
-with LocalCluster(processes=False, protocol="tcp://", local_directory=sys.argv[1], **options) as cluster:
-    print(cluster.scheduler_address, flush=True)
-    sys.stdin.read()
+with LocalCluster(processes=False, protocol="tcp://", local_directory=".", **options) as cluster:
+    with open(sys.argv[1], "w") as file:
+        json.dump({"address": cluster.scheduler_address}, file)
+    threading.Event().wait()
 """
 
 
-class SmallCluster:
+class SmallCluster(Cluster):
     """A scheduler with two workers in one process: starting one takes a third of the time that three take."""
 
-    def __init__(self, directory: Path) -> None:
-        self._directory = directory
-        self._address = ""
-        self.process: subprocess.Popen[str] | None = None
+    def have(self, number: int) -> None:
+        assert number == 2
+        self._have_a_scheduler()
 
-    @property
-    def address(self) -> str:
-        """Address of the scheduler, which is started where it does not run."""
-        if self.process is None or self.process.poll() is not None:
-            with (self._directory / "log").open("ab") as log:
-                self.process = subprocess.Popen(
-                    [*LEASH, sys.executable, "-c", IN_ONE_PROCESS, str(self._directory)],
-                    cwd=self._directory,
-                    env={**os.environ, "PYTHONPATH": str(ROOT)},
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=log,
-                    text=True,
-                )
-            assert self.process.stdout is not None
-            self._address = self.process.stdout.readline().strip()
-        return self._address
+    def _start_scheduler(self, facts: Path) -> Any:
+        return self._start("-c", IN_ONE_PROCESS, str(facts))
 
 
 @pytest.fixture(scope="module")
-def small_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SmallCluster]:
-    cluster = SmallCluster(tmp_path_factory.mktemp("small-cluster"))
-    yield cluster
-    if cluster.process is not None:
-        with cluster.process as process:
-            process.kill()
+def small_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with SmallCluster(tmp_path_factory.mktemp("small-cluster")) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +155,8 @@ def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any
 
 
 @needs_distributed
-def test_two_workers_give_the_bits_of_one_process(small_cluster: SmallCluster, tmp_path: Path) -> None:
+def test_two_workers_give_the_bits_of_one_process(small_cluster: Any, tmp_path: Path) -> None:
+    small_cluster.have(2)
     tasks, seen = sines_of(30), []
     options: Any = {"scheduler": small_cluster.address, "unit": "trials", "watch": seen.append}
     results = sweep.run(tasks, journal=tmp_path / "j", **options)
@@ -206,7 +185,8 @@ def test_ctrl_c_on_a_cluster_and_the_rest_in_this_process(cluster: Any, tmp_path
 
 
 @needs_distributed
-def test_a_task_that_fails_there_is_named_here(small_cluster: SmallCluster) -> None:
+def test_a_task_that_fails_there_is_named_here(small_cluster: Any) -> None:
+    small_cluster.have(2)
     tasks = [Task(f"number {i}", sweep_work.raise_as_given, {"number": i}) for i in range(20)]
     tasks[7] = replace(tasks[7], payload={"number": 7, "raises": "ours"})
     with pytest.raises(TaskError, match="task number 7 failed: this wall is out of reach") as caught:
@@ -218,8 +198,9 @@ def test_a_task_that_fails_there_is_named_here(small_cluster: SmallCluster) -> N
 
 @needs_distributed
 def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
-    small_cluster: SmallCluster, monkeypatch: pytest.MonkeyPatch
+    small_cluster: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    small_cluster.have(2)
     ours = code_version()
     monkeypatch.setattr("rig.experiments.sweep._coordinator.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError) as caught:
@@ -322,15 +303,13 @@ def test_a_sweep_waits_for_workers(cluster: Any, tmp_path: Path) -> None:
 
 
 @needs_distributed
-def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(
-    small_cluster: SmallCluster, tmp_path: Path
-) -> None:
-    address, process = small_cluster.address, small_cluster.process
-    assert process is not None
+def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(small_cluster: Any, tmp_path: Path) -> None:
+    small_cluster.have(2)
+    address = small_cluster.address
 
     def watch(progress: Any) -> None:
         if progress.done >= 3:
-            process.kill()
+            small_cluster.scheduler.kill()
 
     with pytest.raises(RigError, match=f"the connection to the Dask scheduler at {address} was lost"):
         sweep.run(sines_of(200, wait_s=0.05), journal=tmp_path / "j", scheduler=address, watch=watch)

@@ -44,16 +44,8 @@ QUICK = {
 CODES = "P[-_]?[0-9]+"
 NASTY = "half\tasleep\nand <b>bored</b>"
 TAKEN = [
-    "HED",
-    "sex",
-    "handedness",
-    "species",
-    "strain",
-    "strain_rrid",
-    "participant_id",
-    "group",
-    "session_id",
-]
+    "HED", "sex", "handedness", "species", "strain", "strain_rrid", "participant_id", "group", "session_id",
+]  # fmt: skip
 REQUIRED = {"TaskName", "SamplingFrequency"}  # of a motion file's JSON, BIDS 1.10
 UNITS = {"s", "rad", "rad/s", "m", "m/s", "N.m", "N", "A"}
 

@@ -55,7 +55,6 @@ def compare_areas(first: tuple[float, ...], second: tuple[float, ...]) -> Ratio:
 
 @cache
 def _resampling_weights(variations: int) -> NDArray[np.float64]:
-    """Return each resample's mean as weights of the variations: a product is several times faster than drawing rows."""
     drawn = np.random.default_rng(rule.SEED).integers(0, variations, (rule.RESAMPLED, variations))
     return np.stack([(drawn == number).mean(axis=1) for number in range(variations)], axis=1)
 
@@ -132,23 +131,16 @@ class RigResults:
 
         Other pairs of the same estimator are rivals too, unless `own_laws` is False.
         """
-        return [
-            pair
-            for pair in self.pairs
-            if "loses" not in self._compare_with_best(pair, delay, own_laws=own_laws)
-        ]
+        return [pair for pair in self.pairs if "loses" not in self._outcomes(pair, delay, own_laws=own_laws)]
 
     def recommended(self, delay: str, *, own_laws: bool = True) -> list[str]:
         """Return the estimator–law pairs that never lose and win at least once; empty if a grip was not measured."""
         if self.grips != list(rule.CONDITIONS):
             return []
-        return [
-            pair
-            for pair in self.never_lose(delay, own_laws=own_laws)
-            if "wins" in self._compare_with_best(pair, delay, own_laws=own_laws)
-        ]
+        equal = self.never_lose(delay, own_laws=own_laws)
+        return [pair for pair in equal if "wins" in self._outcomes(pair, delay, own_laws=own_laws)]
 
-    def _compare_with_best(self, pair: str, delay: str, *, own_laws: bool) -> Iterator[Outcome]:
+    def _outcomes(self, pair: str, delay: str, *, own_laws: bool) -> Iterator[Outcome]:
         """Yield the outcome at each grip; the caller stops at the first that decides, as each needs a bootstrap."""
         own = pair.partition(", ")[0]
         rivals = [
