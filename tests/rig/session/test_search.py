@@ -210,8 +210,8 @@ def test_a_series_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other()
 def test_up_down_rules_settle_where_levitt_says(n: int) -> None:
     """The share of stable verdicts to the n-th power is a half (Levitt); measured on the walls of a long run."""
     observer = Observer(threshold=500.0, spread=60.0)
-    rule = Staircase(levels=LEVELS, stable_to_rise=n, steps=(1,), turns=1000, most=900)
-    visited = np.array([answer.probe.level for answer in run(rule, observer, seed=4)[100:]])
+    rule = Staircase(levels=LEVELS, stable_to_rise=n, steps=(1,), turns=1000, most=450)
+    visited = np.array([answer.probe.level for answer in run(rule, observer, seed=4)[50:]])
     assert rule.share == pytest.approx(0.5 ** (1 / n))
     assert visited.mean() == pytest.approx(observer.level_of(rule.share), abs=20.0)
 
@@ -243,7 +243,7 @@ def test_catch_trials_among_any_rule_leave_it_as_it_is(name: Any) -> None:
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
 def test_so_many_of_the_trials_are_catch_trials(share: float) -> None:
-    many, always = 1000, SimpleNamespace(next=lambda answers: search.Probe(430.0))
+    many, always = 400, SimpleNamespace(next=lambda answers: search.Probe(430.0))
     answers = run(catching(always, share), Observer(threshold=430.0, spread=15.0), seed=1, most=many)
     scatter = math.sqrt(share * (1.0 - share) / many)
     assert np.mean([answer.probe.catch for answer in answers]) == pytest.approx(share, abs=3.0 * scatter)

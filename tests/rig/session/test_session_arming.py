@@ -149,7 +149,7 @@ def test_the_plan_of_a_study_lists_what_needs_consent() -> None:
 
 
 @pytest.mark.parametrize("travel_s", first_by_default([30e-6, 120e-6, 0.4]))
-@pytest.mark.parametrize("scheme", [0, 1])
+@pytest.mark.parametrize("scheme", first_by_default([1, 0]))
 def test_the_quick_answer_is_that_of_the_gate(scheme: int, travel_s: float) -> None:
     protocol = protocol_of()
     name = protocol.condition[scheme].name

@@ -1,5 +1,6 @@
 """A changed protocol within a study: differences are listed before a session begins, and the analysis reports them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +23,15 @@ from rig.session.engine._run import rehearsal_desk, run_session
 from rig.session.planning._load import load_walls, protocol_from_mapping
 from tests.conformance.studies import Person as SimulatedPerson
 from tests.conformance.studies import protocol, sitting, without_sync
-from tests.conformance.tiers import first_by_default
 from tests.rig.session.session_fakes import FakeRunner
 from tests.system.session_study import PROTOCOL
 
 PERSON = Person(thresholds={})
 NEUTRAL = [
-    ("seed = 11", 'seed = 11\nnotes = "fitted a new cable"'),
-    ("[trial]", '[trial]\nsay = "Push into the wall until it stops you and stay there."'),
-    ("[trial]", "[trial]\nattempts = 5"),
-    ("[trial]", "[trial]\nready_s = 4.0"),
+    ("study.notes", "seed = 11", 'seed = 11\nnotes = "fitted a new cable"'),
+    ("trial.say", "[trial]", '[trial]\nsay = "Push into the wall until it stops you and stay there."'),
+    ("trial.attempts", "[trial]", "[trial]\nattempts = 5"),
+    ("trial.ready_s", "[trial]", "[trial]\nready_s = 4.0"),
 ]
 DECIDING = [
     ("trial.posture", "[trial]", '[trial]\nposture = "standing"'),
@@ -40,7 +40,7 @@ DECIDING = [
 ]
 
 
-def run(place: Path, code: str, *changes: tuple[str, str], **more: Any) -> Path:
+def run(place: Path, code: str, *changes: Sequence[str], **more: Any) -> Path:
     text = PROTOCOL
     for old, new in changes:
         assert old in text
@@ -59,43 +59,43 @@ def found_by_check(place: Path) -> dict[str, Any]:
     return {one.name: one for one in plan.checks}
 
 
-@pytest.mark.parametrize(("old", "new"), first_by_default(NEUTRAL, 2))
-def test_a_change_without_effect_on_results_is_recorded_and_blocks_nothing(
-    tmp_path: Path, old: str, new: str
-) -> None:
+def test_changes_without_effect_on_results_are_recorded_and_block_nothing(tmp_path: Path) -> None:
     run(tmp_path, "P01")
-    log = run(tmp_path, "P02", (old, new))
-    (key,) = read(log)[0].content["differs"]
+    log = run(tmp_path, "P02", *(change for _, *change in NEUTRAL))
+    keys = sorted(key for key, *_ in NEUTRAL)
+    assert sorted(read(log)[0].content["differs"]) == keys
     study = read_study([tmp_path / "study"])
-    assert f"sessions differ in settings that do not affect results: {key}" in study.messages
-    (one,) = [one for one in deviations(study) if one.what == "wording or conduct"]
-    assert one.detail.startswith(f"{key}: ")
+    (message,) = [one for one in study.messages if "that do not affect results" in one]
+    assert all(key in message for key in keys)
+    found = [one.detail for one in deviations(study) if one.what == "wording or conduct"]
+    assert sorted(detail.partition(":")[0] for detail in found) == keys
     assert found_by_check(tmp_path)["protocol"].outcome is Outcome.OK
 
 
-@pytest.mark.parametrize(("key", "old", "new"), first_by_default(DECIDING, 2))
-def test_a_change_with_effect_on_results_is_named_before_anything_is_written(
-    tmp_path: Path, key: str, old: str, new: str
-) -> None:
+def test_changes_with_effect_on_results_are_named_before_anything_is_written(tmp_path: Path) -> None:
+    changes, keys = [change for _, *change in DECIDING], sorted(key for key, *_ in DECIDING)
     run(tmp_path, "P01")
-    with pytest.raises(ChangedProtocolError, match=rf"sessions in .*: {key} \(") as caught:
-        run(tmp_path, "P02", (old, new))
+    with pytest.raises(ChangedProtocolError, match=r"sessions in .*:") as caught:
+        run(tmp_path, "P02", *changes)
     assert "`other_protocol`" in caught.value.remedy
-    assert f"`across` {key}" in caught.value.remedy
     assert not (tmp_path / "study" / "P02").exists()
     checked = found_by_check(tmp_path)["protocol"]
-    assert (checked.outcome, key in checked.text) == (Outcome.WARNING, True)
-    log = run(tmp_path, "P02", (old, new), other_protocol=True)
-    assert read(log)[0].content["differs"] == [key]
-    with pytest.raises(ConfigError, match=rf"the protocols of the sessions differ: {key} ") as refused:
+    assert checked.outcome is Outcome.WARNING
+    log = run(tmp_path, "P02", *changes, other_protocol=True)
+    assert sorted(read(log)[0].content["differs"]) == keys
+    with pytest.raises(ConfigError, match="the protocols of the sessions differ: ") as refused:
         read_study([tmp_path / "study"])
-    assert f"`across` {key}" in refused.value.remedy
-    study = read_study([tmp_path / "study"], across=(key.partition(".")[0],))
-    assert any(
-        message.startswith(f"analysed together despite a difference in {key} (") for message in study.messages
-    )
-    (one,) = [one for one in deviations(study) if one.what == "another protocol"]
-    assert (one.participant, one.detail.startswith(f"{key}: ")) == ("P02", True)
+    for key in keys:
+        assert f"{key} (" in caught.value.message
+        assert key in checked.text
+        assert f"{key} (" in refused.value.message
+        assert f"`across` {key}" in caught.value.remedy
+        assert f"`across` {key}" in refused.value.remedy
+    study = read_study([tmp_path / "study"], across=("trial", "search.highest", "study.seed"))
+    stated = [one for one in study.messages if one.startswith("analysed together despite a difference in ")]
+    assert all(any(f" {key} (" in message for message in stated) for key in keys)
+    found = [(one.participant, one.detail) for one in deviations(study) if one.what == "another protocol"]
+    assert sorted(detail.partition(":")[0] for code, detail in found if code == "P02") == keys
 
 
 def test_the_rigs_own_file_is_compared_and_what_describes_it_is_not(tmp_path: Path) -> None:
