@@ -113,12 +113,12 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: Thr
     "sit", ["page"], indirect=True
 )  # at a terminal: test_a_stopped_console_ends_the_hit…
 def test_a_silent_desk_ends_a_hit(sit: Sit) -> None:
-    place = sit(silence_s=0.3)
+    place = sit(silence_s=0.1)
     place.desk.show(DeskView(state="hold", code="P07"))
     place.sees("P07")
     place.hang()
     error = watched(place.desk)
-    assert "no message from the console for 0.3 s" in error.message
+    assert "no message from the console for 0.1 s" in error.message
     assert "resume" in error.remedy
 
 
@@ -193,6 +193,7 @@ def test_a_key_that_moves_the_hand_means_nothing_else(sit: Sit, hand: SharedHand
 
 
 @pytest.mark.exhaustive("tests/rig/session/test_session_console.py::test_a_stuck_key_answers_no_question")
+@pytest.mark.parametrize("sit", ["terminal"], indirect=True)
 def test_a_key_that_repeats_from_before_the_question_judges_nothing_until_it_was_released(
     sit: Sit, asker: ThreadPoolExecutor
 ) -> None:
