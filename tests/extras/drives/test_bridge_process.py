@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
@@ -26,7 +27,6 @@ from rig.extras.drives.bus import CanBus, _connect
 from rig.extras.drives.library import Bridge
 from rig.extras.drives.link import BridgeLink
 from rig.extras.drives.serve import look
-from sim_backend.drives import simulated_drive
 from sim_backend.drives.process import serve as serve_drive
 from tests.conformance.bridged import MOTEUS_SETUP, ODRIVE_SETUP, bridged_rig, plain_drive, write_endpoints
 from tests.conformance.host import RUN_PARAMETERS
@@ -36,10 +36,24 @@ SLOW_RUN_PARAMETERS = {**RUN_PARAMETERS, "position_rate": 100}
 PATIENCE_S = 30.0  # ends a test that would hang
 
 
+@contextmanager
+def served_drive(kind: str, settings: dict[str, str], bus: str | None = None) -> Iterator[str]:
+    """Serve a simulated drive from a thread; yield its bus, or its port if no bus is given."""
+    places, stop = SimpleQueue[str](), threading.Event()
+    options = {"place": bus, "settings": settings, "stop": stop, "announce": places.put}
+    drive = threading.Thread(target=serve_drive, args=(kind, bridged_rig()), kwargs=options)
+    drive.start()
+    try:
+        yield places.get(timeout=PATIENCE_S)
+    finally:
+        stop.set()
+        drive.join(PATIENCE_S)
+
+
 @pytest.fixture(scope="module")
 def port() -> Iterator[str]:
-    with simulated_drive("moteus", bridged_rig(), settings=MOTEUS_SETUP) as served:
-        yield served.path
+    with served_drive("moteus", MOTEUS_SETUP) as served:
+        yield served
 
 
 def opened(port: str) -> FramedDevice:
@@ -70,24 +84,9 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
     assert not Path(f"/proc/{bridge}").exists()
 
 
-@contextmanager
-def drive_on_a_bus(kind: str, bus: str, settings: dict[str, str]) -> Iterator[None]:
-    """Serve a simulated drive on a CAN bus from a thread."""
-    announced, stop = threading.Event(), threading.Event()
-    options = {"place": bus, "settings": settings, "stop": stop, "announce": lambda _: announced.set()}
-    drive = threading.Thread(target=serve_drive, args=(kind, bridged_rig()), kwargs=options)
-    drive.start()
-    try:
-        assert announced.wait(PATIENCE_S)
-        yield
-    finally:
-        stop.set()
-        drive.join(PATIENCE_S)
-
-
 def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
     bus = str(tmp_path / "bus")
-    with drive_on_a_bus("moteus", bus, MOTEUS_SETUP):
+    with served_drive("moteus", MOTEUS_SETUP, bus):
         found = look(DeviceUrl("moteus", bus, {}, f"moteus://{bus}"))
     assert (found.counts, found.source) == (4 * 4096, "SPI")
 
@@ -100,7 +99,7 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
     bus, file = str(tmp_path / "bus"), write_endpoints(tmp_path / "flat_endpoints.json")
     slow = ODRIVE_SETUP | {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
     url = f"odrive://{bus}?endpoints={file}"
-    with drive_on_a_bus("odrive", bus, slow), devices.open_device(url, bridged_rig()) as device:
+    with served_drive("odrive", slow, bus), devices.open_device(url, bridged_rig()) as device:
         assert isinstance(device.link, BridgeLink)
         assert device.dictionary.firmware == "bridge to ODrive 0.6.11"
         device.configure(SLOW_RUN_PARAMETERS)
