@@ -2,11 +2,15 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import rig.cli
+from rig.extras.papers.chawda.reproduction import CHAWDA
+from rig.extras.papers.cli import PAPERS
+from rig.extras.papers.koul.reproduction import KOUL
 from rig.extras.papers.rules import ClaimStatus
 
 SECTIONS = {
@@ -19,6 +23,18 @@ SECTIONS = {
         "variants", "dual",
     ),
 }  # fmt: skip
+# Still coarser than `--quick`.
+SCALES = {
+    "koul": replace(KOUL.quick, ratio=2.0, range_ratio=2.0, idea_ratio=3.0, plants=2, state_bits=(4, 16)),
+    "chawda": replace(
+        CHAWDA.quick,
+        dampings=(0.0, 60.0, 700.0),
+        hit_dampings=(0.0, 100.0, 400.0, 800.0),
+        constants=(3.0, 50.0),
+        dual_dampings=(0.0,),
+        coarse=4,
+    ),
+}
 PICTURES = {"koul": 12, "chawda": 11}
 # Facts of the reproductions that no grid is too coarse for (patterns).
 VERDICTS = {
@@ -44,8 +60,9 @@ VERDICTS = {
 )
 @pytest.mark.parametrize("paper", SECTIONS)
 def test_quick_reproduces_a_paper_in_one_report(
-    paper: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    paper: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setitem(PAPERS, paper, replace(PAPERS[paper], quick=SCALES[paper]))
     # Two workers that share an interpreter cost a tenth more, and other tests need the other core.
     command = ["reproduce", paper, "--quick", "--json", "--workers", "1", "-o", str(tmp_path)]
     assert rig.cli.run(command) == 0
