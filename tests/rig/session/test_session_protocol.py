@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -410,15 +411,15 @@ def test_the_schema_for_editors_knows_every_key_with_meaning_and_unit() -> None:
     json.dumps(schema)
 
 
-def editor_errors(table: dict[str, Any]) -> list[str]:
-    """Return place and reason of each error that an editor with the JSON schema underlines."""
+@cache
+def editor() -> Any:
+    """Return an editor's validator of the JSON schema."""
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.Draft202012Validator.check_schema(json_schema())
-    validator = jsonschema.Draft202012Validator(json_schema())
-    return [f"{error.json_path}: {error.message}" for error in validator.iter_errors(table)]
+    return jsonschema.Draft202012Validator(json_schema())
 
 
-@pytest.mark.parametrize("name", first_by_default(template_names(), 2))
+@pytest.mark.parametrize("name", first_by_default(template_names()))
 def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
     name: str, tmp_path: Path
 ) -> None:
@@ -429,25 +430,23 @@ def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
     schema = json.loads(beside.read_text())
     assert schema == json.loads(json.dumps(json_schema()))
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-    assert editor_errors(tomllib.loads(path.read_text())) == []
+    assert list(editor().iter_errors(tomllib.loads(path.read_text()))) == []
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
-    first_by_default(
-        [
-            ({"study.titel": "x"}, "'titel' was unexpected"),
-            ({"study.participants": 0}, "$.study.participants: 0 is less than"),
-            ({"search.settings": {"turn": 3}}, "'turn' was unexpected"),
-            ({"search.settings": {"turns": "3"}}, "$.search.settings.turns: '3' is not of type 'integer'"),
-            ({"search.rule": "psi", "search.settings": {"turns": 3}}, "'turns' was unexpected"),
-        ],
-        2,
-    ),
+    ("changes", "place", "reason"),
+    [
+        ({"study.titel": "x"}, "$.study", "'titel' was unexpected"),
+        ({"study.participants": 0}, "$.study.participants", "0 is less than"),
+        ({"search.settings": {"turn": 3}}, "$.search.settings", "'turn' was unexpected"),
+        ({"search.settings": {"turns": "3"}}, "$.search.settings.turns", "'3' is not of type 'integer'"),
+        ({"search.rule": "psi", "search.settings": {"turns": 3}}, "$.search", "'turns' was unexpected"),
+    ],
 )
-def test_an_editor_underlines_what_is_refused(changes: dict[str, Any], words: str) -> None:
-    (fault,) = editor_errors(change(changes))
-    assert words in fault
+def test_an_editor_underlines_what_is_refused(changes: dict[str, Any], place: str, reason: str) -> None:
+    (fault,) = editor().iter_errors(change(changes))
+    assert fault.json_path.startswith(place)
+    assert reason in fault.message
 
 
 def test_every_setting_of_a_rule_has_its_meaning_in_the_schema() -> None:

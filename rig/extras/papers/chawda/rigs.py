@@ -181,9 +181,7 @@ class ChawdaScale:
     coarse: int  # stride: the variants of Levant's differentiator use every n-th stiffness of the maps
     periods: int  # of the excitation that are measured
     hit_dampings: tuple[float, ...]  # N·s/m
-    hit_ratio: (
-        float  # of neighbouring stiffnesses of the hits at 10 kHz; its square root for the hits at 1 kHz
-    )
+    hit_ratio: float  # of neighbouring stiffnesses of the hits at 10 kHz; at 1 kHz its square root
     offsets: tuple[float, ...]  # counts: position zero in its encoder cell, for each hit
     constants: tuple[float, ...]  # m/s²: values of C among which the adjusted gains are chosen
     dual_stiffnesses: tuple[float, ...]  # N·m/rad

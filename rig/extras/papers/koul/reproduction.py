@@ -100,11 +100,8 @@ class KoulPlan:
             parts[f"plants/{number}"] = part(koul_parts.random_plants, payload, 50.0 * len(chunk))
         parts["noise"] = part(koul_parts.velocity_noise, {"offsets": scale.impact_offsets}, 60.0)
         parts["lower-cutoffs"] = part(koul_parts.lower_cutoffs, {}, 60.0)
-        parts["differentiators"] = part(
-            koul_parts.differentiators,
-            {"rates": scale.differentiator_rates},
-            60.0 * len(scale.differentiator_rates),
-        )
+        rates = {"rates": scale.levant_rates}
+        parts["differentiators"] = part(koul_parts.differentiators, rates, 300.0)
         for bits in scale.state_bits:
             payload = {"bits": bits, "offsets": scale.impact_offsets}
             parts[f"words/{bits}"] = part(koul_parts.word_lengths, payload, 60.0)

@@ -58,7 +58,7 @@ class KoulScale:
     idea_offsets: tuple[float, ...]  # counts
     plants: int  # random plants
     state_bits: tuple[int, ...]  # word lengths of figures 7 and 8
-    differentiator_rates: tuple[int, ...]  # Hz
+    levant_rates: tuple[int, ...]  # Hz, of the comparison with Levant's differentiator
     theory_points: int  # dampings of linear theory for Fig. 6
     impact_offsets: tuple[float, ...]  # counts, of figures 7 and 8
 
@@ -78,7 +78,7 @@ FULL = KoulScale(
     idea_offsets=(0.1, 0.6),
     plants=200,
     state_bits=(0, 1, 2, 3, 4, 5, 6, 8, 16),
-    differentiator_rates=(1000, 2000, 4000, 20_000, 50_000),
+    levant_rates=(1000, 2000, 4000, 20_000, 50_000),
     theory_points=41,
     impact_offsets=OFFSETS,
 )
@@ -97,7 +97,7 @@ QUICK = KoulScale(
     idea_offsets=(0.1,),
     plants=10,
     state_bits=(2, 4, 16),
-    differentiator_rates=(1000, 20_000),
+    levant_rates=(1000, 20_000),
     theory_points=8,
     impact_offsets=(0.1, 0.7),
 )

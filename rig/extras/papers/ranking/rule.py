@@ -30,18 +30,12 @@ JUDGED_SEED = 1000  # added to the number of the variation; tuning uses the pres
 TUNING_CONDITIONS = ("none", "normal")
 PER_DECADE, COARSE = 12, 4  # values of a tuning grid; every fourth of them first
 STIFFNESS_WITHIN, DAMPING_WITHIN = (0.7, 1.4), (0.5, 2.0)  # rendered over commanded
-WIN, CONFIDENCE, RESAMPLED = (
-    1.25,
-    0.95,
-    10_000,
-)  # ratio of areas; level and resamples of its bootstrap interval
+WIN = 1.25  # ratio of areas
+CONFIDENCE, RESAMPLED = 0.95, 10_000  # level and resamples of its bootstrap interval
 RATIO = 1.15  # of neighbouring stiffnesses
 DAMPING_RATIO = math.sqrt(2.0)  # of neighbouring dampings
 FIRST_DAMPING = 1.0 / 32.0  # smallest damping above 0, over the largest stable damping of linear theory
-MOST_COLUMNS, FEWEST_COLUMNS = (
-    24,
-    8,
-)  # dampings; at least 8 are tried while no wall has counted
+MOST_COLUMNS, FEWEST_COLUMNS = 24, 8  # dampings; the fewest are tried while no wall has counted
 EMPTY_COLUMNS = 2  # dampings without a wall that counts, after which the search ends
 DUAL_HZ = 2000  # velocity rate of dual-rate pairs
 
