@@ -481,10 +481,7 @@ async def test_a_defect_costs_an_answer_and_no_socket(
     monkeypatch.setattr(Errands, "run", broken)
 
     async with served(tmp_path) as console, console.page() as page:
-        for do, content, reason in (
-            ("operate", {"take": True}, "ZeroDivision"),
-            ("maps", {}, "a defect"),
-        ):
+        for do, content, reason in (("operate", {"take": True}, "ZeroDivision"), ("maps", {}, "a defect")):
             answer = await page.ask(do, **content)  # at once, and later
             assert reason in answer["error"]["error"]
             assert "report it" in answer["error"]["remedy"]

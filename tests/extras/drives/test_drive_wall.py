@@ -26,6 +26,7 @@ from rig.experiments.trials.replay import replay
 from rig.extras.drives import own_wall
 from rig.extras.drives.faults import DriveFault
 from sim_backend.board.configuration import describe
+from sim_backend.drives.moteus_law import W
 from tests.conformance.bridged import Bridged, Moteus
 from tests.conformance.host import Host
 from tests.conformance.tiers import first_by_default
@@ -44,13 +45,9 @@ RUN_MS = 8
 @pytest.mark.parametrize(("side", "sign", "ratio"), [(1, 1, 1.0), (-1, -1, 2.0)])
 def test_the_static_slope_is_the_stiffness(side: int, sign: int, ratio: float) -> None:
     """Two pushes come to rest Δτ/K apart, for either encoder sign and any ratio."""
-    keys = {
-        "wall__side": side,
-        "rig__encoder__sign": sign,
-        "rig__encoder__ratio": ratio,
-        "trial__start": -0.06 * side,
-    }
+    keys = {"wall__side": side, "rig__encoder__sign": sign, "rig__encoder__ratio": ratio}
     keys |= {"wall__position": -0.01 * side, "wall__stiffness": 0.5, "wall__damping": 0.01}
+    keys |= {"trial__start": -0.06 * side}
     rest = []
     for effort in (0.02, 0.05):
         run = Walled(walled(**keys, trial__effort=side * effort), inside=True)
@@ -158,18 +155,12 @@ def test_it_pulls_a_handle_that_leaves() -> None:
 
 def test_wall_and_push_together_end_at_the_limit_of_the_experiment() -> None:
     run = within(wall__stiffness=4.0, wall__damping=0.01, rig__limits__effort=0.1, trial__effort=0.02)
-    limit = run.world.drive._words[_word("max_torque")]
+    limit = run.world.drive._words[W.max_torque]
     assert limit == pytest.approx(0.1, abs=3e-5)  # register 0x025, a quantum
     assert abs(run.world.torque) == pytest.approx(0.1, abs=3e-5)
     assert run.world.far.register(0x00F) == 102  # the drive reports "maximum torque"
     run.run(0.006)
     assert run.state.limits & LimitFlag.CURRENT
-
-
-def _word(name: str) -> int:
-    from sim_backend.drives.moteus_law import W  # noqa: PLC0415
-
-    return int(getattr(W, name))
 
 
 # ---------------------------------------------------------------------- every way ends in zero torque
@@ -180,9 +171,7 @@ def test_a_host_that_falls_silent_sees_the_wall_fade() -> None:
     scales = []
     for _ in range(round(1e3 * (LIFETIME_S + RAMP_S + 0.008))):
         run.run(0.001, supervised=False)
-        scales.append(
-            run.world.drive._words[_word("kp_scale")] if run.world.mode == Moteus.stay_within else 0.0
-        )
+        scales.append(run.world.drive._words[W.kp_scale] if run.world.mode == Moteus.stay_within else 0.0)
     assert run.world.torque == 0.0
     assert run.world.bridge.fault == Fault.LINK_LOST
     assert scales == sorted(scales, reverse=True)
@@ -194,16 +183,15 @@ def stop_bridge(run: Walled) -> None:
     run.world.alive = False
 
 
+def pull_adapter_out(run: Walled) -> None:
+    run.world.bridge.lose_bus(run.world._now)
+
+
 @pytest.mark.parametrize(
     ("end", "within_s", "mode", "fault"),
     [
         (stop_bridge, 0.001, 0, 0),
-        (
-            lambda run: run.world.bridge.lose_bus(run.world._now),
-            WATCHDOG_S + SLACK_S,
-            None,
-            DriveFault.BUS_LOST,
-        ),
+        (pull_adapter_out, WATCHDOG_S + SLACK_S, None, DriveFault.BUS_LOST),
         (lambda run: run.host.command(mode=Mode.STOP), 0.0005, None, 0),
     ],
     ids=["the bridge ends", "the adapter is pulled out", "the host stops"],
@@ -399,7 +387,7 @@ def test_another_wall_comes_in_free_space_alone_and_within_the_gains() -> None:
     keys = {"wall__position": 0.2, "wall__stiffness": 1.0, "wall__damping": 0.005, "trial__effort": 0.002}
     run = Walled(walled(**keys, trial__start=-0.1), inside=True)
     run.run(0.02)
-    scale = run.world.drive._words[_word("kp_scale")]
+    scale = run.world.drive._words[W.kp_scale]
     live = controller.prepare_controller(
         walled(**{**keys, "wall__stiffness": 2.0}, trial__start=-0.1)
     ).parameters
@@ -407,7 +395,7 @@ def test_another_wall_comes_in_free_space_alone_and_within_the_gains() -> None:
     wall = {name: live[name] for name in names}
     assert run.host.configure(**wall).status == Status.OK
     run.run(0.003)
-    assert run.world.drive._words[_word("kp_scale")] == pytest.approx(2.0 * scale, rel=1e-6)
+    assert run.world.drive._words[W.kp_scale] == pytest.approx(2.0 * scale, rel=1e-6)
     assert run.host.configure(**{**wall, "float_stiffness": 20.0 * wall["float_stiffness"]}).status == (
         Status.INCONSISTENT
     )

@@ -227,10 +227,7 @@ PERSON = Person(thresholds={})
 
 
 @pytest.mark.exhaustive("::test_inlets_receive_every_row_at_its_time_and_what_a_session_marks")
-def test_markers_of_a_session_are_its_log_without_the_walls(
-    pylsl: Any,
-    tmp_path: Path,
-) -> None:
+def test_markers_of_a_session_are_its_log_without_the_walls(pylsl: Any, tmp_path: Path) -> None:
     protocol = tmp_path / "one.toml"
     protocol.write_text(
         PROTOCOL[: PROTOCOL.index("[[question]]")].replace("[order]", "[stop]\ntrials = 1\n[order]")

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig import config
 from rig.analysis import theory
 from rig.experiments.mapping._searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import MapPlan, ZWidth
@@ -246,15 +247,8 @@ def test_linear_range_is_that_of_the_theory() -> None:
 
 def test_a_nonlinear_estimator_has_no_linear_limits() -> None:
     levant = next(idea for idea in koul_ideas.ideas() if idea.key == "estimator-levant")
-    from rig import config  # noqa: PLC0415
-
-    payload = {
-        "experiment": config.as_mapping(levant.experiment()),
-        "scheme": levant.scheme.text,
-        "dampings": [0.0],
-        "islands": False,
-    }
-    assert "not_linear" in koul_parts.linear_limits(payload)
+    payload = {"experiment": config.as_mapping(levant.experiment()), "scheme": levant.scheme.text}
+    assert "not_linear" in koul_parts.linear_limits({**payload, "dampings": [0.0], "islands": False})
 
 
 def test_a_grid_gives_the_results_of_ladder_and_bisection() -> None:

@@ -40,14 +40,8 @@ def run_row(
         "damping": damping,
         "limits": {"rule": limit},
     }
-    known |= {
-        "block": 1,
-        "order": 1,
-        "place": 1,
-        "followed": "person",
-        "state": "complete",
-        "middle_trial": 10.0,
-    }
+    known |= {"block": 1, "order": 1, "place": 1, "followed": "person", "state": "complete"}
+    known |= {"middle_trial": 10.0}
     return blank(RunRow, **known | changes)
 
 
@@ -99,14 +93,8 @@ def trial_row(
     passes: bool = True,
     **changes: Any,
 ) -> Any:
-    known = {
-        "participant": participant,
-        "condition": "a",
-        "damping": 0.0,
-        "block": 1,
-        "trial": 1,
-        "practice": False,
-    }
+    known = {"participant": participant, "condition": "a", "damping": 0.0, "block": 1, "trial": 1}
+    known |= {"practice": False}
     known |= {"verdict": verdict, "judged_by": "person", "automatic": automatic, "automatic_stable": passes}
     known |= {"response_time_s": 1.0, "void": "", "aborted": ""}
     return blank(TrialRow, **known | changes)

@@ -193,17 +193,14 @@ def test_a_redone_trial_stays_in_the_log_and_comes_again(tmp_path: Path) -> None
     assert state.ended == "complete"
 
 
-def test_a_note_is_stored_and_the_question_asked_again(tmp_path: Path) -> None:
-    desk = ScriptedDesk(first("ready", "note", " phone rang "))
+def test_a_note_and_a_pause_are_logged_and_the_question_asked_again(tmp_path: Path) -> None:
+    replies = iter([Reply(action="note", value=" phone rang "), Reply(action="pause")])
+    desk = ScriptedDesk(lambda question: next(replies, None) if question.kind == "ready" else None)
     state = run_with(started(tmp_path / "P01"), FakeRunner(), desk)
     assert state.notes == [(0, "phone rang")]
-    assert [question.kind for question in desk.questions[:2]] == ["ready", "ready"]
-
-
-def test_pause_and_continuation_are_logged(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(first("ready", "pause")))
+    assert [question.kind for question in desk.questions[:4]] == ["ready", "ready", "paused", "ready"]
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
-    assert kinds[2:6] == ["block", "paused", "continued", "trial"]
+    assert kinds[2:7] == ["block", "note", "paused", "continued", "trial"]
 
 
 def test_a_block_may_start_over_without_what_was_skipped_in_it(tmp_path: Path) -> None:
@@ -332,13 +329,7 @@ def test_stop_rules_end_a_session(tmp_path: Path, stop: Any, fails: Any, reason:
 
 def test_questions_come_at_their_time_and_bad_answers_are_asked_again(tmp_path: Path) -> None:
     items = [
-        {
-            "name": "hand",
-            "text": "Which hand?",
-            "when": "start",
-            "kind": "choice",
-            "choices": ["left", "right"],
-        },
+        {"name": "hand", "text": "Which?", "when": "start", "kind": "choice", "choices": ["left", "right"]},
         {"name": "tired", "text": "How tired?", "when": "block"},
         {"name": "remarks", "text": "Anything else?", "when": "end", "kind": "text"},
     ]
@@ -451,24 +442,19 @@ def test_a_trial_is_amended_by_its_number(tmp_path: Path) -> None:
         amend(directory, event_of_trial(directory, 1, "void"), "buzz", "wrong key")
 
 
-@pytest.mark.parametrize(
-    ("number", "value", "why", "reason"),
-    [
+def test_impossible_corrections_are_refused(tmp_path: Path) -> None:
+    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
+    assert read(tmp_path / "P01" / LOG)[4].kind == "judged"
+    before = (tmp_path / "P01" / LOG).read_bytes()
+    for number, value, why, reason in (
         (10_000, "buzz", "x", "no event 10000"),
         (0, "buzz", "x", "cannot be corrected"),
         (4, "fine", "x", "is not a verdict"),
         (4, "buzz", " ", "needs a reason"),
-    ],
-)
-def test_impossible_corrections_are_refused(
-    tmp_path: Path, number: int, value: str, why: str, reason: str
-) -> None:
-    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
-    assert read(tmp_path / "P01" / LOG)[4].kind == "judged"
-    before = (tmp_path / "P01" / LOG).read_bytes()
-    with pytest.raises(ConfigError, match=reason):
-        amend(tmp_path / "P01", number, value, why)
-    assert (tmp_path / "P01" / LOG).read_bytes() == before
+    ):
+        with pytest.raises(ConfigError, match=reason):
+            amend(tmp_path / "P01", number, value, why)
+        assert (tmp_path / "P01" / LOG).read_bytes() == before
 
 
 def test_a_participant_has_one_session(tmp_path: Path) -> None:
