@@ -2,8 +2,6 @@
 
 import json
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,9 +17,7 @@ from rig.cli import run
 from rig.config import override
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
-from rig.core.model import RigModel
 from rig.core.present import plain
-from rig.devices.framed import FramedDevice
 from rig.doctor.pace import Pace
 from rig.experiments.trials.plan import predict_impact
 from rig.session.engine._check import check
@@ -123,24 +119,20 @@ def test_unsuitable_settings_are_warned_of_or_refused(schemes: Protocol, plan: S
     above = Search(lowest=100.0, highest=0.9 * likely, ratio=1.15)
     below = Search(lowest=1.1 * likely, highest=1.6 * likely, ratio=1.05)
     assert least < above.highest
-    wrong: list[tuple[dict[str, Any], dict[str, Outcome]]] = [
-        (
-            {"search": above, "caps": Caps(), "order": replace(order, kind="fixed"), "stop": Stop(trials=10)},
-            {"expected limits": Outcome.WARNING, "order": Outcome.WARNING, "stop.trials": Outcome.REFUSED},
-        ),
-        (
-            {
-                "search": below,
-                "caps": Caps(),
-                "study": replace(study, participants=7),
-                "stop": Stop(minutes=0.5),
-            },
-            {"expected limits": Outcome.WARNING, "order": Outcome.WARNING, "stop.minutes": Outcome.REFUSED},
-        ),
-        ({"stop": Stop(trials=round(plan.trials.likely))}, {"stop.trials": Outcome.WARNING}),
-        ({"order": replace(order, repeats=20), "rest": Rest(), "stop": Stop()}, {"rest": Outcome.WARNING}),
+    many = replace(order, repeats=20)
+    wrong: list[dict[str, Any]] = [
+        {"search": above, "caps": Caps(), "order": replace(order, kind="fixed"), "stop": Stop(trials=10)},
+        {"search": below, "caps": Caps(), "study": replace(study, participants=7), "stop": Stop(minutes=0.5)},
+        {"stop": Stop(trials=round(plan.trials.likely))},
+        {"order": many, "rest": Rest(), "stop": Stop()},
     ]
-    for changes, outcomes in wrong:
+    expected = [
+        {"expected limits": Outcome.WARNING, "order": Outcome.WARNING, "stop.trials": Outcome.REFUSED},
+        {"expected limits": Outcome.WARNING, "order": Outcome.WARNING, "stop.minutes": Outcome.REFUSED},
+        {"stop.trials": Outcome.WARNING},
+        {"rest": Outcome.WARNING},
+    ]
+    for changes, outcomes in zip(wrong, expected, strict=True):
         found = check(replace(schemes, **changes), Path())
         assert {name: check_named(found, name).outcome for name in outcomes} == outcomes
 
@@ -210,18 +202,11 @@ def test_a_device_is_asked_for_its_rate_only_when_it_is_named(
     schemes: Protocol, plan: StudyPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The device here is not a process, but has the highest rate of one that is simulated in real time."""
-
-    @contextmanager
-    def open_slow(url: str, model: RigModel, **_: Any) -> Iterator[FramedDevice]:
-        with devices.open_device(url, model) as device:
-            device._dictionary = replace(device.dictionary, position_rate_maximum=4000)
-            yield device
-
-    monkeypatch.setattr("rig.session.engine._hits.open_for_run", open_slow)
     assert not [one for one in plan.checks if one.name == "device rate"]
-    asked = check_named(
-        check(schemes, Path(), of_device=partial(device_checks, "sim://koul-compliant")), "device rate"
-    )
+    with devices.open_device("sim://koul-compliant") as slow:
+        slow._dictionary = replace(slow.dictionary, position_rate_maximum=4000)
+        monkeypatch.setattr(DeviceRunner, "_device", lambda *_: slow)
+        asked = check_named(check(schemes, Path(), of_device=partial(device_checks, "sim://")), "device rate")
     assert asked.outcome is Outcome.REFUSED  # in real time, as a session with a person runs it
     assert "20000 Hz" in asked.text
     assert "rehearse" in asked.remedy

@@ -53,7 +53,9 @@ def test_events_are_read_back_in_order_and_with_their_time(tmp_path: Path) -> No
     assert {event.at for event in read(path)} == {12.5}
 
 
-def test_a_log_torn_at_any_byte_is_continued_without_a_trace(tmp_path: Path) -> None:
+def test_a_log_torn_at_any_byte_is_continued_without_a_trace_and_its_lost_bytes_counted(
+    tmp_path: Path,
+) -> None:
     """However much of the last line reached the disk, the event is there completely or not at all."""
     whole = write_log(tmp_path / "whole").read_bytes()
     start = whole.rindex(b"\n", 0, -1) + 1
@@ -62,19 +64,11 @@ def test_a_log_torn_at_any_byte_is_continued_without_a_trace(tmp_path: Path) -> 
         path.write_bytes(whole[:length])
         survived = read_events(path)
         assert survived == (EVENTS if length == len(whole) else EVENTS[:-1])
+        for torn in (0 if length == len(whole) else length - start, 0):
+            with SessionLog(path) as log:
+                assert log.torn == torn
         write_log(path, EVENTS[len(survived) :])
         assert path.read_bytes() == whole
-
-
-def test_the_dropped_bytes_of_a_torn_line_are_counted(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log")
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-7])
-    start = whole.rindex(b"\n", 0, -1) + 1
-    with SessionLog(path) as log:
-        assert log.torn == len(whole) - 7 - start
-    with SessionLog(path) as log:
-        assert log.torn == 0
 
 
 def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path: Path) -> None:
