@@ -36,8 +36,9 @@ def test_csv_has_its_meaning_beside_it(tmp_path: Path, recording: Recording) -> 
     assert sidecar["trailer"] == {"reason": "finished"}
 
 
-def test_long_csv_is_written_in_pieces(tmp_path: Path) -> None:
-    rows = example_rows(10_001)
+def test_long_csv_is_written_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.recording.export._ROWS_AT_ONCE", 100)
+    rows = example_rows(301)
     path = export(Recording(example_header(), rows), tmp_path / "trial.csv")
     frame = pd.read_csv(path, usecols=["count", "device_time"])
     assert frame["count"].tolist() == rows["count"].tolist()

@@ -1,9 +1,7 @@
 """Sealing a recording: the capture is removed only after an equal sealed file has replaced it."""
 
 import json
-import subprocess
 import sys
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from rig.core import deferred
 from rig.core.clock_fit import ClockFit
 from rig.core.errors import RecordingError
 from rig.core.present import plain
@@ -20,6 +19,7 @@ from rig.recording import seal as seal_module
 from rig.recording._capture import write_capture
 from rig.recording._parquet import write_parquet
 from rig.recording.data import Recording
+from rig.recording.export import export
 from rig.recording.reader import open_recording
 from rig.recording.seal import seal, with_truth
 from rig.recording.timing import NO_AGE
@@ -248,51 +248,32 @@ def test_foreign_parquet_is_not_a_recording(tmp_path: Path) -> None:
         open_recording(path)
 
 
-def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording) -> None:
+def test_without_pyarrow_the_capture_serves(
+    tmp_path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """The capture stores truth and trailer, CSV export works, and a message names the missing library."""
     capture = write(tmp_path / "trial.rigcap", recording)
     torn = tmp_path / "torn.rigcap"
     torn.write_bytes(capture.read_bytes()[:-3000])
     before = torn.read_bytes()
-    program = """
-        import sys
-        sys.modules["pyarrow"] = None
-        import numpy as np
-        from rig.core.errors import RecordingError
-        from rig.recording.export import export
-        from rig.recording.reader import open_recording
-        from rig.recording.seal import seal
-        from tests.conformance.recording import example_truth
-
-        truth = example_truth(np.arange(100, 200))
-        for name in sys.argv[1:3]:
-            sealed = seal(open_recording(name), truth, judge=lambda _: {"verdict": {"kind": "stable"}})
-            assert str(sealed.path) == name
-            assert open_recording(name).rows.tobytes() == sealed.rows.tobytes()
-        found = open_recording(sys.argv[1])
-        assert found.column("position_true").tolist() == found.column("sample_index").tolist()
-        assert found.trailer["verdict"]["kind"] == "stable" and found.complete
-        export(found, sys.argv[1] + ".csv")
-        try:
-            export(found, sys.argv[1] + ".parquet")
-        except RecordingError as error:
-            print(error)
-        """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program), str(capture), str(torn)],
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stdout.startswith("Parquet needs pyarrow, which is not installed; pip install pyarrow"), (
-        done.stderr
-    )
-    assert f"pyarrow is not installed: {capture} stays a capture" in done.stderr
+    for name in ("pyarrow", "parquet", "csv"):
+        monkeypatch.setattr(getattr(deferred, name), "_module", None)
+    for name in ("pyarrow", *(name for name in sys.modules if name.startswith("pyarrow."))):
+        monkeypatch.setitem(sys.modules, name, None)
+    truth = example_truth(np.arange(100, 200))
+    for path in (capture, torn):
+        sealed = seal(open_recording(path), truth, judge=lambda _: {"verdict": {"kind": "stable"}})
+        assert sealed.path == path
+        assert open_recording(path).rows.tobytes() == sealed.rows.tobytes()
+    found = open_recording(capture)
+    assert found.column("position_true").tolist() == found.column("sample_index").tolist()
+    assert found.trailer is not None
+    assert found.trailer["verdict"]["kind"] == "stable"
+    assert found.complete
+    export(found, f"{capture}.csv")
+    with pytest.raises(RecordingError, match=r"needs pyarrow, which is not installed; pip install pyarrow"):
+        export(found, f"{capture}.parquet")
+    assert f"pyarrow is not installed: {capture} stays a capture" in caplog.text
     assert torn.read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "torn.rigcap",
-        "trial.rigcap",
-        "trial.rigcap.csv",
-        "trial.rigcap.csv.json",
-    ]
+    names = ["torn.rigcap", "trial.rigcap", "trial.rigcap.csv", "trial.rigcap.csv.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
