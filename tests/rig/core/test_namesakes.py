@@ -10,13 +10,11 @@ from pathlib import Path
 import pytest
 
 import rig as package
-from tests.conformance.tiers import first_by_default
+from rig import cli
+from rig.cli import doctor
+from rig.core import deferred
 
 ROOT = Path(package.__file__).parents[1]
-NAMESAKES = {
-    "serial": ("device", "show", "serial:///dev/ttyACM0"),
-    "usb": ("device", "show", "usb://1209:0001"),
-}
 
 
 def install(place: Path, name: str, distribution: str, text: str = "") -> None:
@@ -36,20 +34,34 @@ def run(place: Path, *command: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize(
-    ("text", "name"),
-    first_by_default([("raise SyntaxError('print as it was in Python 2')", "serial"), ("", "usb")]),
-)
-def test_a_package_in_place_of_another_is_named_with_its_remedy(name: str, text: str, tmp_path: Path) -> None:
-    install(tmp_path, name, f"other-{name}", text)
-    done = run(tmp_path, "-m", "rig", *NAMESAKES[name], "--json")
-    assert done.returncode == 2, done.stderr
+def check_named(name: str, place: Path, output: str, error: str) -> None:
     assert re.fullmatch(
-        rf"rig: the package {name} in {tmp_path}/{name}/__init__.py does not belong to py{name}, but to other-{name}, "
+        rf"rig: the package {name} in {place}/{name}/__init__.py does not belong to py{name}, but to other-{name}, "
         rf"which was installed over it; .+ -m pip uninstall -y other-{name} py{name}; .+ -m pip install py{name}\n",
-        done.stderr,
-    ), done.stderr
-    assert json.loads(done.stdout)["error"]["exit_code"] == 2
+        error,
+    ), error
+    assert json.loads(output)["error"]["exit_code"] == 2
+
+
+def test_a_package_in_place_of_another_is_named_with_its_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install(tmp_path, "serial", "other-serial", "raise SyntaxError('print as it was in Python 2')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(deferred.serial, "_module", None)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "serial"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(doctor.doctor, "callback", lambda **_: deferred.serial.Serial)
+    assert cli.run(["doctor", "--json"]) == 2
+    check_named("serial", tmp_path, *capsys.readouterr())
+
+
+@pytest.mark.exhaustive("::test_a_package_in_place_of_another_is_named_with_its_remedy")
+def test_a_package_that_loads_in_place_of_another_is_named_too(tmp_path: Path) -> None:
+    install(tmp_path, "usb", "other-usb")
+    done = run(tmp_path, "-m", "rig", "device", "show", "usb://1209:0001", "--json")
+    assert done.returncode == 2, done.stderr
+    check_named("usb", tmp_path, done.stdout, done.stderr)
 
 
 OVERWRITTEN = """
@@ -57,6 +69,7 @@ import sys, rig
 for name in ("__all__", "_NAMES"):
     delattr(rig, name)
 from rig import cli
+from rig.cli import doctor
 sys.exit(cli.run(sys.argv[1:]))
 """
 
