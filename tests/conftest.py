@@ -48,8 +48,8 @@ EVERYWHERE = {
     "print_blob": True,
     "suppress_health_check": [HealthCheck.too_slow],
 }
-# 40 examples in every run of the tests, a hundred with each seed of `python -m tests.explore`.
-settings.register_profile("repeatable", derandomize=True, max_examples=40, **EVERYWHERE)
+# 25 examples in every run of the tests, a hundred with each seed of `python -m tests.explore`.
+settings.register_profile("repeatable", derandomize=True, max_examples=25, **EVERYWHERE)
 settings.register_profile("explore", derandomize=False, **EVERYWHERE)
 settings.load_profile("repeatable")
 # Hypothesis also draws constants that it finds in the local modules that are loaded, and each worker has loaded others.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.config import (
@@ -548,7 +548,6 @@ def _numbers_of(experiment: Experiment) -> st.SearchStrategy[dict[str, Any]]:
     )
 
 
-@settings(max_examples=50)
 @given(_numbers_of(KOUL))
 def test_a_mapping_brings_back_the_same_experiment_also_through_json(changes: dict[str, Any]) -> None:
     experiment = override(KOUL, changes)
@@ -592,7 +591,6 @@ PLACES = [
 ]
 
 
-@settings(max_examples=100)
 @given(st.sampled_from([KOUL, CHAWDA]), st.sampled_from(PLACES), JUNK)
 def test_any_single_corrupted_value_gives_an_experiment_or_a_config_error(
     base: Experiment, key: str, value: Any
@@ -605,7 +603,6 @@ def test_any_single_corrupted_value_gives_an_experiment_or_a_config_error(
         assert math.isfinite(experiment.rig.encoder.resolution)
 
 
-@settings(max_examples=80)
 @given(st.binary(max_size=60), st.integers(0, 5000))
 def test_any_damage_to_a_file_gives_an_experiment_or_a_config_error(
     tmp_path_factory: pytest.TempPathFactory, junk: bytes, place: int

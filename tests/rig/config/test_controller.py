@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig import config
@@ -64,7 +64,6 @@ def test_every_preset_is_taken_by_its_simulated_device_as_it_is(name: Any) -> No
         assert echo.values["current_limit"] == values["current_limit"]
 
 
-@settings(max_examples=60)
 @given(
     quanta=st.integers(10, 32_000),
     per_ampere=st.floats(0.02, 2.0),

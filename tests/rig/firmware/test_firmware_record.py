@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import dictionary as dictionaries
@@ -26,7 +26,6 @@ FACTS = ImageFacts(
 )
 
 
-@settings(max_examples=40)
 @given(st.binary(max_size=300), st.binary(max_size=300))
 def test_a_record_is_found_wherever_it_stands(before: bytes, behind: bytes) -> None:
     record = find(before + MAGIC[:7] + pack(Record(FACTS, PACKED)) + behind, "x")
@@ -35,7 +34,6 @@ def test_a_record_is_found_wherever_it_stands(before: bytes, behind: bytes) -> N
     assert record.dictionary_hash == dictionaries.dictionary_hash(PACKED)
 
 
-@settings(max_examples=50)
 @given(st.data())
 def test_a_damaged_record_is_refused(data: st.DataObject) -> None:
     content = bytearray(pack(Record(FACTS, PACKED)))

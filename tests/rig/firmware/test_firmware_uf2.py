@@ -4,7 +4,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.errors import ConfigError
@@ -24,7 +24,6 @@ def apart(draw: Any) -> Any:
     return pieces
 
 
-@settings(max_examples=40)
 @given(apart())
 def test_every_byte_comes_back_where_it_belongs(pieces: Any) -> None:
     read = read_uf2(write_uf2(pieces, RP2040), "a.uf2")

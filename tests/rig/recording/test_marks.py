@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.faults import Input
@@ -172,7 +172,6 @@ def date_edge(progress: np.ndarray, device_time: int, edge: int) -> int:
     return int(sync_time(progress, state))
 
 
-@settings(max_examples=50)
 @given(st.integers(1 << 33, 1 << 50), st.integers(-(1 << 24), WRAP - (1 << 24) - 1), st.integers(0, 3 * WRAP))
 def test_edge_keeps_its_exact_date_when_the_clock_wraps(now: int, age: int, later: int) -> None:
     progress = Buffers.allocate().progress

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -95,7 +95,6 @@ def test_a_reader_needs_only_the_description() -> None:
         assert np.concatenate(values).tobytes() == rows[column["name"]].tobytes()
 
 
-@settings(max_examples=60)
 @given(tail=st.binary(max_size=300), cut=st.integers(0, 2 * BLOCK_BYTES))
 def test_bytes_after_a_header_are_rows_or_counted_losses(
     tmp_path_factory: pytest.TempPathFactory, tail: bytes, cut: int
@@ -111,7 +110,6 @@ def test_bytes_after_a_header_are_rows_or_counted_losses(
     assert used + sum(loss.size for loss in found.lost) == len(data) - len(pack_header(HEADER))
 
 
-@settings(max_examples=40)
 @given(
     data=st.binary(max_size=100),
     start=st.sampled_from([b"", b"PAR1", b"\x89RIGCAP\n", b"\x89RIGCAP\n\x01\0\0\0"]),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.sample import COLUMNS, TRUTH_COLUMNS
@@ -29,7 +29,6 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=50)
 @given(json_values)
 def test_json_values_come_back_from_one_spelling(value: Any) -> None:
     """File names that are not UTF-8 work too; Python represents them as lone surrogates."""
