@@ -456,8 +456,7 @@ def _prepare_hit(draft: _Draft) -> None:
             f"least {least:.3g} are needed to push against friction of {friction:.3g}",
             remedy="choose a larger motor or ratio, or reduce the friction",
         )
-    push = min(max(PUSH_SHARE * nominal, PUSH_FRICTIONS * friction), nominal)
-    push = max(push, least)
+    push = max(min(max(PUSH_SHARE * nominal, PUSH_FRICTIONS * friction), nominal), least)
     _adapt_to_encoder(draft, _provisional(draft, push))
     held = _set_homing(draft)
     for halvings in range(HALVINGS):
@@ -607,18 +606,18 @@ def _stable_wall(experiment: Experiment) -> _ChosenWall:
     held, way = homing.holding_effort(experiment), experiment.wall.position - experiment.trial.start
     gained = 2.0 * (push - held) * way  # twice the kinetic energy at the wall
     cutoff = float(experiment.controller.parameters["cutoff_hz"])
+    loop, room = theory.as_lifted(experiment, None), DEPTH_SHARE * limits.position_maximum
     quiet = NOISE_SHARE * push / (COUNT_PEAK * cutoff * delta)
-    damping = min(OF_B_MAX * theory.b_max(experiment).damping, quiet)
+    damping = min(OF_B_MAX * theory.damping_range(loop), quiet)
     strongest = PEAK_SHARE * limits.effort
     spared = max(0.0, strongest**2 - 2.0 * strongest * push)
     # The spring's effort for half a count must stay below friction, else a toggling count keeps the handle moving.
     shown = min(push / REST_COUNTS, max(2.0 * held, push / MOST_REST_COUNTS)) / delta
     most = min(shown, spared / gained)
-    room = DEPTH_SHARE * limits.position_maximum
-    stiffness = min(most, OF_K_MAX * theory.k_max(experiment, damping=damping).stiffness)
+    stiffness = min(most, OF_K_MAX * theory.k_max(loop, damping=damping).stiffness)
     # Damping above critical damping would only raise the noise.
     damping = min(damping, 2.0 * math.sqrt(stiffness * homing.inertia(experiment)))
-    stiffness = min(stiffness, OF_K_MAX * theory.k_max(experiment, damping=damping).stiffness)
+    stiffness = min(stiffness, OF_K_MAX * theory.k_max(loop, damping=damping).stiffness)
     return _ChosenWall(stiffness, damping, (2.0 * push * room + gained) / room**2)
 
 

@@ -23,6 +23,7 @@ from rig.analysis.theory._limits import (
     StabilityMap,
     as_lifted,
     b_max,
+    damping_range,
     k_max,
     k_max_curve,
     stability_map,
@@ -53,8 +54,8 @@ from rig.analysis.theory._summary import (
 __all__ = [
     "AtDamping", "Bound", "DampingLimit", "Diolaiti", "InHand", "Island", "Lifted", "Limit", "LimitCycle",
     "LinearLoop", "NotLinear", "NotLinearError", "PassivityBound", "Realisation", "SchemeTheory",
-    "StabilityMap", "Subject", "Theory", "as_lifted", "b_max", "beta", "default_schemes", "diolaiti",
-    "k_max", "k_max_curve", "limit_cycle", "linear_loop", "passive_curve", "passivity_bound", "realise",
+    "StabilityMap", "Subject", "Theory", "as_lifted", "b_max", "beta", "damping_range", "default_schemes",
+    "diolaiti", "k_max", "k_max_curve", "limit_cycle", "linear_loop", "passive_curve", "passivity_bound", "realise",
     "resolve", "rigid_b_max", "spectral_radius", "stability_map", "stiffnesses", "theory_of",
     "with_linear_wall",
 ]  # fmt: skip

@@ -150,25 +150,27 @@ def b_max(
 ) -> DampingLimit:
     """Return a virtual wall's largest stable damping, with and without ranges of stiffness above an unstable one."""
     lifted = as_lifted(rig, scheme, operator)
-    loop = lifted.loop
-    highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
-    b = highest * np.geomspace(10.0**-DAMPING_DECADES, 1.0, POINTS)
-    lowest = _lowest_stiffness(lifted)
-    unstable = np.flatnonzero(~lifted.stable(lowest, b))
-    if len(unstable) == 0:
+    damping, lowest, highest = damping_range(lifted), _lowest_stiffness(lifted), _highest_damping(lifted)
+    if damping == highest:
         return DampingLimit(highest, math.nan, True, highest, lowest)
-    first = int(unstable[0])
-    if first == 0:
-        damping = 0.0
-    else:
-        low, high = b[first - 1], b[first]
-        for _ in range(BISECTIONS):
-            middle = math.sqrt(low * high)
-            low, high = (middle, high) if lifted.radius(lowest, middle) < 1.0 else (low, middle)
-        damping = float(low)
     islands, stiffness = _last_island(lifted, damping, highest)
-    frequency = lifted.frequency(lowest, damping * (1.0 + 1e-6) if damping else float(b[0]))
-    return DampingLimit(damping, frequency, False, islands, stiffness)
+    beyond = damping * (1.0 + 1e-6) if damping else highest * 10.0**-DAMPING_DECADES
+    return DampingLimit(damping, lifted.frequency(lowest, beyond), False, islands, stiffness)
+
+
+def damping_range(rig: RigLike | Lifted, scheme: SchemeLike | None = None) -> float:
+    """Return `b_max(…).damping` in a third of the time: islands are not searched for."""
+    lifted = as_lifted(rig, scheme)
+    lowest, highest = _lowest_stiffness(lifted), _highest_damping(lifted)
+    b = highest * np.geomspace(10.0**-DAMPING_DECADES, 1.0, POINTS)
+    unstable = np.flatnonzero(~lifted.stable(lowest, b))
+    if len(unstable) == 0 or unstable[0] == 0:
+        return highest if len(unstable) == 0 else 0.0
+    low, high = b[unstable[0] - 1], b[unstable[0]]
+    for _ in range(BISECTIONS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if lifted.radius(lowest, middle) < 1.0 else (low, middle)
+    return float(low)
 
 
 def stability_map(
@@ -206,6 +208,10 @@ def stiffnesses(lifted: Lifted, damping: float) -> Vector:
 def _lowest_stiffness(lifted: Lifted) -> float:
     # The rig's mass would oscillate on it at LOWEST_HZ.
     return lifted.loop.subject.inertia * (2.0 * math.pi * LOWEST_HZ) ** 2
+
+
+def _highest_damping(lifted: Lifted) -> float:
+    return DAMPING_REACH * lifted.loop.subject.inertia / lifted.loop.period_s + lifted.loop.subject.damping
 
 
 def _dampings(given: Sequence[float] | Vector) -> Vector:

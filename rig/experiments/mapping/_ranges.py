@@ -204,10 +204,10 @@ def dampings_for(
 def _damping_range(experiment: Experiment, scheme: Scheme) -> float:
     experiment = theory.with_linear_wall(experiment)
     try:
-        return theory.b_max(experiment, scheme).damping
+        return theory.damping_range(experiment, scheme)
     except ConfigError:
         # Linear theory does not cover a nonlinear estimator: use a finite difference with a filter in its place.
-        return theory.b_max(experiment, _with_estimator(scheme, STAND_IN)).damping
+        return theory.damping_range(experiment, _with_estimator(scheme, STAND_IN))
 
 
 def _with_estimator(scheme: Scheme, estimator: str) -> Scheme:
@@ -366,9 +366,9 @@ def default_grid(
     excited = theory.with_linear_wall(config.excited(experiment))
     stiffness = damping = 0.0
     for scheme in {(s.position_rate, s.velocity_rate): s for s in schemes}.values():
-        reference = _with_estimator(scheme, _REFERENCE)
-        widest = theory.b_max(excited, reference).damping
-        limits = theory.k_max_curve(excited, reference, np.linspace(0.0, widest, FREQUENCY_POINTS))
+        loop = theory.as_lifted(excited, _with_estimator(scheme, _REFERENCE))
+        widest = theory.damping_range(loop)
+        limits = theory.k_max_curve(loop, None, np.linspace(0.0, widest, FREQUENCY_POINTS))
         damping = max(damping, widest)
         stiffness = max(stiffness, *(limit.stiffness for limit in limits))
     top, last = (float(f"{SHARE * value:.2g}") for value in (stiffness, damping))

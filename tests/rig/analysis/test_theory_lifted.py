@@ -282,7 +282,7 @@ def test_powers_of_the_period_agree_with_its_eigenvalues(rig: str, scheme: str, 
     lifted = theory.Lifted.of(
         theory.linear_loop(cogged if rig == "cogged" else rig, scheme, operator=operator)
     )
-    b = np.linspace(0.0, 1.2 * theory.b_max(lifted).damping, 6)
+    b = np.linspace(0.0, 1.2 * theory.damping_range(lifted), 6)
     edges = np.array([limit.stiffness for limit in theory.k_max_curve(lifted, None, b)])
     near = edges * (1.0 + np.geomspace(1e-8, 0.1, 8) * np.array([[1.0], [-1.0]])).reshape(-1, 1)
     for k in (np.append(0.0, np.geomspace(1e-3, 1e25, 100))[:, None], near):

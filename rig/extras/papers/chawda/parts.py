@@ -64,7 +64,7 @@ def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
         ]
         for high in payload["highest_hz"]
     ]
-    return {"stable": stable, "passive": passive, "range": theory.b_max(experiment, scheme).damping}
+    return {"stable": stable, "passive": passive, "range": theory.damping_range(experiment, scheme)}
 
 
 def constant(payload: Mapping[str, Any]) -> dict[str, float]:

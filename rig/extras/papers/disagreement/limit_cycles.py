@@ -247,7 +247,7 @@ def limit_cycles(
 
 def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
     lifted = theory.Lifted.of(loop)
-    dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
+    dampings = [share * theory.damping_range(lifted) for share in DAMPINGS]
     limits = theory.k_max_curve(lifted, None, dampings)
     return [(share * limit.stiffness, limit.damping) for limit in limits for share in STIFFNESSES]
 

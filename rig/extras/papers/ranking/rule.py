@@ -147,7 +147,7 @@ class Ground:
         uniform = Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm-butterworth").applied(
             experiment
         )
-        widest = theory.b_max(theory.with_linear_wall(uniform), Scheme.of(uniform)).damping
+        widest = theory.damping_range(theory.with_linear_wall(uniform), Scheme.of(uniform))
         return cls(name, uniform, widest)
 
     @property
