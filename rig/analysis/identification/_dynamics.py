@@ -472,15 +472,15 @@ def simulate_friction(
     up, down = sliding.up.value, -sliding.down.value
     kept = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
     mobility = step_s / (mass + step_s * damping)
+    lagging, inertial = (1.0 - kept) * lag_s / step_s, mass / step_s
     acting = velocity = 0.0
     found = []
     for sent in np.tile(effort, 3).tolist():
         target = sent - back_emf * velocity
-        mean = target + (acting - target) * (1.0 - kept) * lag_s / step_s
+        stopping = velocity * inertial + target + (acting - target) * lagging
         acting = target + (acting - target) * kept
-        free = velocity * mass * mobility / step_s + mobility * mean
-        friction = min(max(free / mobility, down), up)
-        velocity = free - mobility * friction
+        friction = down if stopping < down else up if stopping > up else stopping
+        velocity = mobility * (stopping - friction)
         found.append(friction)
     return np.array(found[-len(effort) :])
 
