@@ -53,10 +53,12 @@ def chawda(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return identified(CHAWDA, tmp_path_factory.mktemp("chawda"), changes=changes)
 
 
+VOLTAGE = {"controller.position_rate": 6000, "rig.amplifier.drive": "voltage"}
+
+
 @pytest.fixture(scope="module")
 def compliant(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    changes = {"controller.position_rate": 6000}
-    return identified(COMPLIANT, tmp_path_factory.mktemp("compliant"), period_s=0.25, changes=changes)
+    return identified(COMPLIANT, tmp_path_factory.mktemp("compliant"), period_s=0.25, changes=VOLTAGE)
 
 
 # ---------------------------------------------------------------------- parameters
@@ -71,16 +73,19 @@ def test_chawda_linear_comes_out_within_a_per_cent(chawda: Any) -> None:
     assert chawda.sliding.down.value == pytest.approx(0.19, rel=0.01)
     assert chawda.dynamics.delay_s.value == pytest.approx(0.0, abs=2e-6)
     assert chawda.dynamics.mode is None
+    assert not chawda.dynamics.band.above
     assert np.median(chawda.dynamics.coherence) > 0.999
 
 
-@pytest.mark.parametrize(("experiment", "inertia"), first_by_default([(COMPLIANT, 1.77e-3), (RIGID, 3.2e-4)]))
+@pytest.mark.parametrize(("preset", "inertia"), first_by_default([("compliant", 1.77e-3), ("rigid", 3.2e-4)]))
 def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag(
-    experiment: Any, inertia: float, tmp_path: Path
+    preset: str, inertia: float, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     """The measured current is compared throughout: no motion of a sound rig may end the run."""
-    changes = {"controller.position_rate": 6000, "rig.amplifier.drive": "voltage"}
-    found = identified(experiment, tmp_path, period_s=0.25, changes=changes)
+    if preset == "compliant":
+        found, experiment = request.getfixturevalue(preset), COMPLIANT
+    else:
+        found, experiment = identified(RIGID, tmp_path, period_s=0.25, changes=VOLTAGE), RIGID
     mechanics = experiment.rig.mechanics
     assert found.signs.warnings == ()
     assert found.signs.scale == pytest.approx(1.0, rel=0.3)
@@ -95,6 +100,9 @@ def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag
         assert after == pytest.approx(mechanics.transmission_damping_ratio, rel=0.15)
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/analysis/test_identification_fits.py::test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag"
+)
 def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
     changes = {"rig.simulation.computation_delay_ticks": 1, "controller.position_rate": 2000}
     found = identified(RIGID, tmp_path, period_s=0.25, changes=changes)
@@ -131,16 +139,15 @@ ELASTIC = {
     ("preset", "changes", "ends"),
     first_by_default(
         [
-            ("hapkit", {}, False),
             ("koul-rigid", {**PADDLE, **ELASTIC, **coarse_encoder(100)}, True),
+            ("hapkit", {}, False),
             ("koul-rigid", PADDLE, False),
             ("koul-rigid", {**PADDLE, **coarse_encoder(100)}, True),
             ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
             ("koul-compliant", coarse_encoder(180), True),
             ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
             ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
-        ],
-        2,
+        ]
     ),
 )
 def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
@@ -484,7 +491,15 @@ def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that
         identified(RIGID, tmp_path, rate_hz=250)
     works = int(re.findall(r"`rate` (\d+)", str(caught.value))[0])
     assert 250 < works < 1000
-    assert identified(RIGID, tmp_path, rate_hz=works).sliding.coulomb.value == pytest.approx(0.02, rel=0.3)
+    request = IdentifyRequest(experiment=RIGID, rate_hz=works)
+    assert identifying.plan_of(identifying.without_end_mass(request), request).ok
+
+
+@pytest.mark.exhaustive(
+    "::test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that_works"
+)
+def test_the_strokes_show_friction_at_the_lowest_rate_that_is_accepted(tmp_path: Path) -> None:
+    assert identified(RIGID, tmp_path, rate_hz=500).sliding.coulomb.value == pytest.approx(0.02, rel=0.3)
 
 
 @pytest.mark.parametrize(
