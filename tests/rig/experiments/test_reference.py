@@ -16,6 +16,8 @@ from rig.core.errors import ConfigError, DeviceFaultError, DeviceRefusedError, G
 from rig.devices.framed import FramedDevice
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
+from rig.experiments.motion import reference as searching
+from rig.experiments.motion.pulse import Pulse
 from rig.experiments.motion.reference import FoundReference, reference
 from rig.experiments.trials._identify_motions import still
 from rig.experiments.trials.preparation import position_zero
@@ -52,6 +54,23 @@ def powered_up(x: Experiment, at: float = 0.1) -> Iterator[FramedDevice]:
 def hardware_of(device: FramedDevice) -> Hardware:
     hardware: Hardware = device.link.device.hardware  # type: ignore[attr-defined]
     return hardware
+
+
+@pytest.fixture
+def pushed_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give each search the pulse of the first one on the same sound rig."""
+    first = searching.pulse
+
+    def known(device: FramedDevice, x: Experiment, **options: Any) -> Pulse:
+        loop = x.controller.loop
+        if loop not in PULSES:
+            PULSES[loop] = first(device, x, **options)
+        return PULSES[loop]
+
+    monkeypatch.setattr(searching, "pulse", known)
+
+
+PULSES: dict[str, Pulse] = {}
 
 
 def find(device: FramedDevice, x: Experiment, output: Path, **changes: Any) -> FoundReference:
@@ -100,6 +119,7 @@ def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
         assert all(last_effort(path) == 0.0 for path in found.recordings)
 
 
+@pytest.mark.usefixtures("pushed_before")
 def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(tmp_path: Path) -> None:
     with powered_up(MARKED) as device:
         find(device, MARKED, tmp_path)
@@ -115,7 +135,7 @@ def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(t
         assert other.recorded.recording.header["identity"]["reference"] == "where the handle was put"
 
 
-@pytest.mark.usefixtures("real")
+@pytest.mark.usefixtures("real", "pushed_before")
 def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(tmp_path: Path) -> None:
     with powered_up(MARKED) as device:
         with pytest.raises(DeviceRefusedError, match=r"position zero of .* is unknown") as refused:
@@ -168,6 +188,7 @@ BROKEN = {
         [("no switch", BY_BOARD), ("no index", BY_BOARD), *((what, MARKED) for what in reversed(BROKEN))], 3
     ),
 )
+@pytest.mark.usefixtures("pushed_before")
 def test_a_broken_switch_or_index_ends_the_search_at_rest_with_the_reason(
     what: str, x: Experiment, tmp_path: Path
 ) -> None:
@@ -182,6 +203,7 @@ def test_a_broken_switch_or_index_ends_the_search_at_rest_with_the_reason(
         assert all(last_effort(path) == 0.0 for path in tmp_path.glob("*.parquet"))
 
 
+@pytest.mark.usefixtures("pushed_before")
 @pytest.mark.parametrize("x", [MARKED, BY_BOARD], ids=["host", "board"])
 def test_a_person_who_pushes_the_handle_in_the_search_ends_it_by_its_speed(
     x: Experiment, tmp_path: Path
@@ -197,6 +219,7 @@ def test_a_person_who_pushes_the_handle_in_the_search_ends_it_by_its_speed(
         assert last_effort(search) == 0.0
 
 
+@pytest.mark.usefixtures("pushed_before")
 @pytest.mark.parametrize("x", [MARKED, BY_BOARD], ids=["host", "board"])
 def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(x: Experiment, tmp_path: Path) -> None:
     """A brake stronger than the servo holds the handle, so no edge comes; the device or the host ends the search."""
