@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -31,8 +30,6 @@ from rig.devices.fault_script import Faults
 from rig.devices.framed import FramedDevice
 from rig.experiments.motion.pulse import Pulse, pulse
 from rig.experiments.trials._identify_motions import still
-from sim_backend.board import device as simulated
-from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.board.hardware import Hardware
 from sim_backend.ends.link import MemoryLink
@@ -98,7 +95,17 @@ FAULTS = {
 }
 
 
-class TickByTick(FirmwareDevice):
+class OnOtherHardware(FirmwareDevice):
+    """The firmware with hardware that it was not built for."""
+
+    def stand_before(self, hardware: Hardware) -> None:
+        """Connect the firmware to other hardware than it was built for."""
+        self.hardware = hardware
+        self._truth = None
+        self._pass_measurements()
+
+
+class TickByTick(OnOtherHardware):
     """The firmware run tick by tick, because a compiled run of ticks would bypass the false encoder."""
 
     def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
@@ -108,31 +115,20 @@ class TickByTick(FirmwareDevice):
             ticks += 1
         return named, ticks
 
-    def stand_before(self, hardware: Hardware) -> None:
-        """Connect the firmware to other hardware than it was built for."""
-        self.hardware = hardware
-        self._truth = None
-        self._pass_measurements()
-
 
 def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
     """Return a device with an undescribed fault; it runs the law itself if the experiment is configured so."""
-    sound, script = config.rig_model(still(experiment)), None
+    sound = config.rig_model(still(experiment))
     counts = "counts" in dict(fault.hardware)
-    if experiment.controller.loop == "device":
-        script = Faults()  # none, but bytes pass Python
-        device = TickByTick(sound, initial_position=at)
-        device.stand_before(Hardware(fault.model(sound), 1_000, seed=0, initial_position=at))
-    else:
-        described = simulated.describe(sound, sound.name, 1_000, 50_000)
-        with patch.object(simulated, "describe", lambda *_: described):
-            device = SimulatedDevice(fault.model(sound), initial_position=at)
+    device = (TickByTick if counts else OnOtherHardware)(sound, initial_position=at)
+    device.stand_before(Hardware(fault.model(sound), 1_000, seed=0, initial_position=at))
     if counts:
         device.hardware.__class__ = Counting
     for name, value in fault.hardware:
         setattr(device.hardware, name, value)
     if counts:
         device.hardware.count = device.hardware.counts(device.hardware.count)
+    script = Faults() if counts else None  # without faults, but bytes pass Python
     return FramedDevice(MemoryLink(device, script))
 
 
