@@ -19,7 +19,6 @@ from rig.core.errors import ConfigError, PlanError
 from rig.doctor._walls import candidate_rates
 from rig.doctor.gate import gate
 from rig.experiments.hits.hit import in_effect
-from rig.experiments.identification.identify import IdentifyRequest, identify
 from rig.experiments.trials import excitation_run, live
 from rig.experiments.trials.plan import device_checks, link_checks, make_plan
 from tests.conformance.made_links import link
@@ -196,16 +195,6 @@ def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted()
         live._post(ring, {"wall.pull": "allow"})
     info["experiment"] = config.as_mapping(RIGID)
     assert live._post(ring, {"wall.pull": "allow"})[0] == 7
-
-
-def test_an_identification_moves_by_the_host_and_leaves_the_board_its_law(tmp_path: Path) -> None:
-    """The rate of the host's motions and the link's delay in ticks must not enter the board's configuration."""
-    asked = IdentifyRequest(experiment=ON_DEVICE, output=tmp_path, realisations=2, rate_hz=1000)
-    found = identify(asked)
-    assert found.experiment.controller == ON_DEVICE.controller
-    assert found.dynamics.inertia.value == pytest.approx(3.2e-4, rel=0.03)
-    assert found.dynamics.lines_hz[-1] <= 150.0
-    assert "rig.simulation.computation_delay_ticks" not in found.sources
 
 
 # ---------------------------------------------------------------------- excitation

@@ -30,12 +30,11 @@ from rig.experiments.motion._motion_run import LONGEST_FILLED, MOST_LOST_SHARE, 
 from rig.experiments.trials import _identify_motions as motions
 from rig.recording.reader import open_recording
 from sim_backend.bare.trial import run_trial
-from sim_backend.board import device as simulated
-from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.hardware import Hardware
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from sim_backend.mechanics.plant import DiscretePlant
+from tests.benchmarks.pulses import OnOtherHardware
 from tests.conformance.tiers import first_by_default
 from tests.rig.analysis.test_identification_cogging import fitted
 
@@ -142,7 +141,6 @@ ELASTIC = {
             ("koul-rigid", {**PADDLE, **ELASTIC, **coarse_encoder(100)}, True),
             ("hapkit", {}, False),
             ("koul-rigid", PADDLE, False),
-            ("koul-rigid", {**PADDLE, **coarse_encoder(100)}, True),
             ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
             ("koul-compliant", coarse_encoder(180), True),
             ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
@@ -179,11 +177,15 @@ def test_a_value_that_may_be_wrong_by_more_than_its_interval_has_a_warning(compl
 
 
 def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path: Path) -> None:
-    found = identified(RIGID, tmp_path, url="sim://koul-rigid", rate_hz=1000)
+    on_board = config.override(RIGID, {"controller.loop": "device"})
+    found = identified(on_board, tmp_path, url="sim://koul-rigid", rate_hz=1000)
     assert found.dynamics.inertia.value == pytest.approx(3.2e-4 + 0.07 * 0.1**2, rel=0.02)
     mechanics = found.experiment.rig.mechanics
     assert mechanics.motor_inertia + mechanics.link_inertia == pytest.approx(3.2e-4, rel=0.05)
     assert mechanics.end_mass == 0.07
+    # Rate and delay of these motions, by a law on the host, do not enter the configuration of the board.
+    assert found.experiment.controller == on_board.controller
+    assert "rig.simulation.computation_delay_ticks" not in found.sources
 
 
 def test_an_excitation_whose_last_samples_are_lost_ends_with_the_periods_before() -> None:
@@ -236,8 +238,7 @@ def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp
     assert found.sliding.coulomb.value == pytest.approx(0.0067, rel=0.03)
     assert found.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.04)
     assert found.experiment.rig.cogging == map_.cogging
-    picture = found.plot().save(tmp_path / "map.png")
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert found.plot().figure.axes
     path = tmp_path / "rig.toml"
     path.write_text(format_identification(found))
     assert config.load_experiment(path) == found.experiment
@@ -459,14 +460,12 @@ def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pyte
 def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mechanics = replace(CHAWDA.rig.mechanics, motor_inertia=2.6)
-    heavy = replace(config.rig_model(CHAWDA), mechanics=mechanics)
-    untold = replace(SimulatedDevice(heavy)._dictionary, constants=())
-    monkeypatch.setattr(simulated, "describe", lambda *_: untold)
+    model = config.rig_model(CHAWDA)
+    heavy = replace(model, mechanics=replace(model.mechanics, motor_inertia=2.6))
+    device = OnOtherHardware(model)
+    device.stand_before(Hardware(heavy, 1000, seed=0, initial_position=None))
     monkeypatch.setattr(
-        identifying.devices,
-        "open_device",
-        lambda url, model: FramedDevice(MemoryLink(SimulatedDevice(heavy))),
+        identifying.devices, "open_device", lambda url, model: FramedDevice(MemoryLink(device))
     )
     with pytest.raises(IdentificationError, match="times the described inertia"):
         identified(CHAWDA, tmp_path, rate_hz=500)
@@ -493,13 +492,6 @@ def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that
     assert 250 < works < 1000
     request = IdentifyRequest(experiment=RIGID, rate_hz=works)
     assert identifying.plan_of(identifying.without_end_mass(request), request).ok
-
-
-@pytest.mark.exhaustive(
-    "::test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that_works"
-)
-def test_the_strokes_show_friction_at_the_lowest_rate_that_is_accepted(tmp_path: Path) -> None:
-    assert identified(RIGID, tmp_path, rate_hz=500).sliding.coulomb.value == pytest.approx(0.02, rel=0.3)
 
 
 @pytest.mark.parametrize(
@@ -531,7 +523,7 @@ def test_lost_samples_are_filled_in_up_to_a_bound(chawda: Any) -> None:
 
 
 @pytest.mark.exhaustive("::test_lost_samples_are_filled_in_up_to_a_bound")
-@pytest.mark.parametrize("preset", first_by_default(["koul-rigid", "koul-compliant", "chawda-linear"]))
+@pytest.mark.parametrize("preset", ["koul-compliant", "chawda-linear"])
 def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
     preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
