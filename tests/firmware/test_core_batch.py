@@ -4,7 +4,7 @@ import ctypes
 from itertools import pairwise
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from firmware_protocol.faults import Fault
@@ -36,7 +36,6 @@ def as_layout(sample: Sample, layout: int) -> Sample:
     return sample._replace(measured=None) if layout == 1 else sample
 
 
-@settings(max_examples=30)
 @given(st.integers(0, 2), st.integers(1, 76), st.lists(ticks, max_size=200))
 @example(0, 45, [(0, 0, 0, False)] * 90)
 def test_each_tick_arrives_as_it_was_or_shows_as_a_gap(
@@ -175,7 +174,6 @@ class Busy(Board):
             self.library.host_poll(self.core.address, b"", 0)
 
 
-@settings(max_examples=25)
 @given(
     st.integers(0, 2),
     st.integers(1, 76),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import current
@@ -86,7 +86,6 @@ LINE = ("lowest", "highest")
 HOST = {*LINE, "most", "last_most", "dead"}  # used for an agreement, which the device does not report
 
 
-@settings(max_examples=60)
 @given(
     st.sampled_from([50, 99, 1_000, 7_777, 20_000, 50_000]),
     st.sampled_from([-1.0, 0.0, 0.41, 30.0]),
@@ -97,7 +96,7 @@ HOST = {*LINE, "most", "last_most", "dead"}  # used for an agreement, which the 
     st.lists(
         st.tuples(st.integers(-(2**31), 2**31 - 1) | st.integers(-99, 99), currents, currents), min_size=1
     ),
-    st.integers(1, 60),
+    st.integers(1, 30),
 )
 def test_c_and_python_have_the_same_memory(
     rule: Any,

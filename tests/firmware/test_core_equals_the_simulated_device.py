@@ -341,7 +341,6 @@ def test_a_long_walk_is_the_same_for_both(library: ctypes.CDLL, seed: int) -> No
     pair.ask_everything()
 
 
-@settings(max_examples=25)
 @given(st.lists(st.binary(max_size=600), max_size=8))
 def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[bytes]) -> None:
     pair = Pair(library, rig_of())
@@ -351,7 +350,6 @@ def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[byt
     pair.ask_everything()
 
 
-@settings(max_examples=50)
 @example([(10, b"\1\0\0\0"), (10, b"\1\0\0\0")], False, 0)
 @example([(11, b"\0\1\0\0"), (10, b"\1\0\0\0")], False, 0)
 @example([(18, (30_000).to_bytes(4, "little")), (22, b"\xff" * 4)], True, 0)

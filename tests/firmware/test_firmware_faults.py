@@ -31,7 +31,7 @@ from sim_backend.board.hardware import Hardware
 from sim_backend.ends.link import MemoryLink
 from sim_backend.mechanics.inner import COULOMB, COULOMB_LINK
 from sim_backend.mechanics.plant import PlantArguments
-from tests.conformance.faults import INEFFECTIVE, FarEnd, check_fault, faults_of
+from tests.conformance.faults import BESIDE, FarEnd, check_fault, faults_of
 from tests.conformance.host import Host
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.tiers import first_by_default
@@ -174,11 +174,16 @@ FAR_ENDS: dict[str, Callable[[], Simulated]] = {
 }
 
 
+OF_EACH_KIND = {
+    "silence", BESIDE, "STOP", "hold-to-run is released", "a command in the ramp", "the emergency stop is pressed",
+    "an illegal transition of the encoder", "the count jumps", "a short circuit", "a blow",
+}  # fmt: skip
+
+
 def cases() -> list[Any]:
-    """Return each fault of each device; faults of one kind run by default only on the firmware."""
+    """Return each fault of each device; by default all on the firmware, and one of each kind on the others."""
     found = [(end, name) for end, make in FAR_ENDS.items() for name in faults_of(make())]
-    repeated = [*list(INEFFECTIVE)[3:], *(f"the port finds {fault.name}" for fault in list(Fault)[3:])]
-    default = [(end, name) for end, name in found if end == "the firmware" or name not in repeated]
+    default = [(end, name) for end, name in found if end == "the firmware" or name in OF_EACH_KIND]
     return first_by_default(sorted(found, key=lambda case: case not in default), len(default))
 
 

@@ -6,7 +6,7 @@ import zlib
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.dictionary import (
@@ -117,7 +117,6 @@ def test_invalid_bytes_are_a_remote_protocol_error(packed: bytes) -> None:
         decode(packed)
 
 
-@settings(max_examples=25)
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists, max_leaves=5))
 def test_arbitrary_value_is_accepted_or_a_remote_protocol_error(value: object) -> None:
     for key in ("parameters", "faults", "current_quantum_a", "device"):

@@ -5,7 +5,7 @@ import struct
 from zlib import crc32
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.faults import Status
@@ -31,7 +31,6 @@ RANGES = {
 }
 
 
-@settings(max_examples=25)
 @given(parameter_sets())
 def test_block_returns_its_values_whatever_their_order(values: dict[str, Value]) -> None:
     block = encode_block(values)

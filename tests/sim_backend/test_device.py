@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
@@ -183,7 +183,6 @@ def test_the_sync_outputs_go_low_when_their_command_is_over(end: str) -> None:
         assert device.sync == 0
 
 
-@settings(max_examples=25)
 @given(
     st.lists(st.tuples(st.integers(0, 0x7F), st.binary(min_size=2, max_size=40)), max_size=20), st.booleans()
 )

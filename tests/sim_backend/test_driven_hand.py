@@ -89,7 +89,6 @@ def test_while_it_homes_it_goes_along_whatever_is_wished() -> None:
     assert np.allclose(rows[along:], [START, 0.0, 0.0], atol=1e-12)
 
 
-@settings(max_examples=30)
 @given(distance=st.floats(-1.0, 1.0, allow_subnormal=False), rate=st.floats(-5.0, 5.0, allow_subnormal=False))
 def test_it_follows_as_the_differential_equation_does(distance: float, rate: float) -> None:
     omega, step = 2.0 * math.pi * FOLLOW_HZ, 1e-5

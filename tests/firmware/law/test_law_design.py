@@ -111,7 +111,6 @@ def test_firmware_accepts_every_accepted_design(law: Any, x: Any) -> None:
 
 
 @given(experiments())
-@settings(max_examples=40)
 def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x: Any) -> None:
     """A wall survives the conversion to the wire and back, up to the rounding of the device's words."""
     try:

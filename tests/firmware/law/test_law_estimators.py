@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import estimators
@@ -93,7 +93,6 @@ def test_float_velocity_equals_the_host_to_rounding(law: Any, case: Any, seed: i
 
 
 @given(st.data())
-@settings(max_examples=25)
 @pytest.mark.parametrize("name", ["foaw-end", "foaw-best"])
 def test_windows_of_foaw_are_the_hosts(law: Any, name: str, data: st.DataObject) -> None:
     """Whole counts put samples exactly on the edge of the band, where rounding would show."""
@@ -133,7 +132,6 @@ def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, outp
 
 
 @given(st.data())
-@settings(max_examples=25)
 def test_fixed_velocity_is_exact_after_gaps(law: Any, data: st.DataObject) -> None:
     vectors = golden_vectors(data.draw(st.integers(0, 1000)), ticks=1)
     p = estimator_only(estimators.get("fdm").prepare({}, 1.0, 1.0))

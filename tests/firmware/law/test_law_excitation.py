@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.excitation_table import PHASES, ExcitationTable, cosine, hashed_phases
@@ -50,7 +50,6 @@ def test_cosine_and_phases_are_pythons(law: Any, number: int, line: int) -> None
     assert law.so.law_line_phase(number, line) == hashed_phases(number, line + 1)[line]
 
 
-@settings(max_examples=30)
 @given(tables(), st.integers(1, 5000))
 def test_the_table_is_pythons_to_the_bit_in_whatever_pieces(law: Any, excitation: Any, cosines: int) -> None:
     p = excited(FIXED, excitation)
@@ -77,7 +76,6 @@ def test_large_tables_are_pythons_too(law: Any, excitation: Any, most_bits: bool
 
 
 @given(tables(), st.data())
-@settings(max_examples=25)
 def test_currents_are_pythons_to_the_bit(law: Any, excitation: Any, data: st.DataObject) -> None:
     elapsed = data.draw(st.lists(st.sampled_from([1, 1, 1, 2, 9, 100_000]), min_size=1, max_size=40))
     p = excited(FIXED, excitation)

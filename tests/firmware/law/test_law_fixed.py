@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.sample import Phase, RowFlag
@@ -27,7 +27,6 @@ def test_quanta_are_the_golden_ones(law: Any, seed: int) -> None:
 
 
 @given(st.data())
-@settings(max_examples=30)
 def test_a_whole_run_is_exact(law: Any, data: st.DataObject) -> None:
     draw = data.draw
     vectors = golden_vectors(draw(st.integers(0, 10_000)), ticks=1)

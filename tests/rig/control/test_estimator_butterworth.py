@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -36,7 +36,6 @@ def test_each_order_is_scipys_filter(motion: Any, order: Any, cutoff_hz: float) 
     )
 
 
-@settings(max_examples=30)
 @given(motion=MOTION, cutoff_hz=st.floats(5.0, 900.0))
 def test_order_two_is_one_biquad_to_the_bit(motion: Any, cutoff_hz: float) -> None:
     """The oracle is a plain transposed direct form II with scipy's coefficients; exact bits let recordings replay."""
@@ -57,7 +56,6 @@ def test_every_order_keeps_the_promises_of_the_family(order: int) -> None:
     check_estimator("fdm-butterworth", {"order": order})
 
 
-@settings(max_examples=30)
 @given(before=MOTION, moved=st.integers(-5000, 5000), lost=st.integers(1, 40))
 def test_over_a_gap_every_section_runs_once_for_each_lost_period(before: Any, moved: int, lost: int) -> None:
     counts = [0, *np.cumsum(before).tolist()]

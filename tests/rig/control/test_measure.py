@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz
 
@@ -59,7 +59,6 @@ def counts(position: Any, offset: float = 0.3) -> Any:
     return np.floor(position / DELTA + offset) * DELTA
 
 
-@settings(max_examples=25)
 @given(
     ticks=st.integers(8, 700),
     rate=st.sampled_from([1_000, 2_000, 20_000]),
@@ -123,7 +122,6 @@ def test_the_median_ends_for_every_order_of_values(shape: str) -> None:
     assert math.isnan(np.median(values)) or middle == np.median(values)
 
 
-@settings(max_examples=25)
 @given(contact=st.integers(4, 300), seed=st.integers(0, 2**32 - 1))
 def test_the_velocity_at_impact_is_that_of_the_parabola_with_least_squares(contact: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

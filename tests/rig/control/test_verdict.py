@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control._measure import NUMBERS
@@ -266,7 +266,6 @@ def test_a_trial_without_samples_is_invalid_and_still_a_verdict(count: int) -> N
     json.dumps(plain(verdict), allow_nan=False)
 
 
-@settings(max_examples=30)
 @given(count=st.integers(8, 300), seed=st.integers(0, 2**32 - 1))
 def test_any_short_trial_gets_a_verdict_in_finite_numbers(count: int, seed: int) -> None:
     noise = np.random.default_rng(seed).normal(size=count)

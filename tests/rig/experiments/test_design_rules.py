@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.experiments.design import _rules as rules
@@ -23,7 +23,6 @@ def plain(**values: Any) -> Measures:
     return Measures(**{**dict.fromkeys((*NUMBERS, "cost"), 1.0), **values})
 
 
-@settings(max_examples=50)
 @given(some)
 def test_the_front_has_exactly_the_schemes_that_no_other_dominates(found: Any) -> None:
     front = set(rules.front(found))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -52,7 +52,6 @@ def test_no_damping_is_rendered_whole_and_a_small_one_is(estimator: str) -> None
     assert rendered_share(experiment, 1e-9) == pytest.approx(1.0, abs=1e-9)
 
 
-@settings(max_examples=30)
 @given(st.lists(st.floats(1e-6, 1e3), min_size=2, max_size=6))
 def test_more_damping_is_rendered_by_a_smaller_share(dampings: list[float]) -> None:
     shares = [rendered_share(rig_under("uniform:20k"), damping) for damping in sorted(dampings)]

@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.experiments.mapping._searches import StiffnessSearch, limit_of
@@ -37,7 +37,6 @@ def passes_below(bound: Any) -> Any:
 
 
 @pytest.mark.parametrize("way", ["ladder", "bisection", "grid"])
-@settings(max_examples=30)
 @given(bound=st.floats(1.0, 2000.0))
 def test_every_way_finds_the_last_rung_below_a_single_limit(way: str, bound: float) -> None:
     search = StiffnessSearch(way=way, **RANGE)
@@ -93,7 +92,6 @@ def test_bisection_with_two_criteria_gives_each_its_own_limit() -> None:
     assert 600 / 1.06 < limit(search, passes, "heard").stiffness < 600
 
 
-@settings(max_examples=50)
 @given(st.dictionaries(st.floats(1.0, 1e4), st.sampled_from([True, False, None]), max_size=30))
 def test_a_limit_lies_below_every_failure_and_counts_unknown_walls(tried: Any) -> None:
     found = limit_of(tried)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig import config
@@ -244,7 +244,6 @@ EDGES = st.integers(1, 12).flatmap(
 )
 
 
-@settings(max_examples=50)
 @given(EDGES)
 def test_the_search_finds_the_edge_where_each_damping_has_one(case: Any) -> None:
     """Each wall is tested at most once."""
@@ -264,7 +263,6 @@ def test_the_search_finds_the_edge_where_each_damping_has_one(case: Any) -> None
     assert len(path) <= heights[0] + 2 * len(seen) + turns
 
 
-@settings(max_examples=50)
 @given(st.lists(st.lists(st.booleans(), min_size=5, max_size=5), min_size=1, max_size=8), st.booleans())
 def test_on_any_region_the_search_ends_and_requests_no_wall_twice(rows: Any, looks: bool) -> None:
     passive = np.array(rows)
