@@ -335,15 +335,16 @@ def stuck_records(rigs: list[dict[str, Any]], realisations: int, steps: int = 20
 
 
 @pytest.mark.parametrize(
-    ("seeds", "realisations", "widest"), first_by_default([(range(2, 3), 3, 0.001), (range(10), 4, 0.002)])
+    ("seeds", "realisations", "steps", "widest"),
+    first_by_default([(range(2, 3), 3, 10, 0.001), (range(6), 4, 20, 0.002)]),
 )
 def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag(
-    seeds: range, realisations: int, widest: float
+    seeds: range, realisations: int, steps: int, widest: float
 ) -> None:
     """More in `tests.benchmarks.identified_intervals`."""
     rigs = [random_rig(seed) for seed in seeds]
     held, widths = np.zeros(3), []
-    for one, runs in zip(rigs, stuck_records(rigs, realisations), strict=True):
+    for one, runs in zip(rigs, stuck_records(rigs, realisations, steps), strict=True):
         sliding = known_sliding(one["coulomb"], one["damping"])
         found = fit_dynamics(
             runs, resolution=one["count"], inertia=0.5, sliding=sliding, damping=sliding.damping

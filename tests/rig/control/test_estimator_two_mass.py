@@ -22,6 +22,7 @@ SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1}
 MASSES = {"motor_inertia": 1.9e-4, "link_inertia": 1.58e-3, "transmission_stiffness": 2310.0}
 
 
+@pytest.mark.exhaustive("::test_the_poles_of_its_velocity_are_those_of_the_design_for_a_high_rate")
 def test_its_velocities_are_those_of_the_plug_in_that_was_ranked(tmp_path: Path) -> None:
     """The results on the page are those of the plug-in; both have the same steps in other units."""
     code, file = PAGE.read_text(encoding="utf-8").split("```python\n")[1], tmp_path / "entry.py"

@@ -608,6 +608,7 @@ def digest() -> str:
     )
 
 
+@pytest.mark.exhaustive("tests/firmware/law/test_law_float.py::test_every_option_and_limit_is_the_hosts")
 def test_compiled_and_plain_python_give_the_same_bits() -> None:
     script = f"import runpy; print(runpy.run_path({str(Path(__file__))!r})['digest']())"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}

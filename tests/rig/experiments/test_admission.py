@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
-from itertools import product
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any, cast
 
@@ -112,8 +112,9 @@ def by_hit(x: config.Experiment, changes: dict[str, Any], device: FramedDevice, 
     raise AssertionError("a hit begins or is refused")
 
 
-@pytest.mark.parametrize("claims", first_by_default(["simulated", "real"]))
-@pytest.mark.parametrize("board", first_by_default(SERVED))
+@pytest.mark.parametrize(
+    ("board", "claims"), first_by_default(zip(SERVED, cycle(("simulated", "real")), strict=False))
+)
 def test_doctor_gate_and_hit_agree(
     board: str, claims: str, fake_link: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

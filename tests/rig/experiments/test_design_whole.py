@@ -15,7 +15,6 @@ from rig.experiments.design._listing import Candidate
 from rig.experiments.design._rounds import Sweeper
 from rig.experiments.design._whole import PaperSchemes
 from tests.conformance.maps import SHORT
-from tests.conformance.tiers import first_by_default
 
 LOOSE = {
     "verdict.felt_velocity": 0.05,
@@ -47,7 +46,8 @@ def few_walls(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(whole, name, value)
 
 
-@pytest.mark.parametrize("papers", first_by_default([PAPERS, LISTED[-1]]))
+@pytest.mark.exhaustive("::test_the_second_paper_is_held_to_its_table_one")
+@pytest.mark.parametrize("papers", [PAPERS, LISTED[-1]])
 def test_a_scheme_that_a_hit_rules_out_misses_that_measure_in_its_map(
     papers: Scheme, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 import math
 import tomllib
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ from tests.conformance.tiers import first_by_default
 FINE, COARSE = 1e-6, 2e-5
 
 
+@cache
 def hit(rate_hz: float = 2000, resolution: float = FINE) -> Any:
     return signal_case(SIGNALS["wall-bounce"], rate_hz, resolution)
 

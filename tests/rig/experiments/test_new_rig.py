@@ -16,7 +16,8 @@ from rig.config.controller import prepare_controller
 from rig.control.verdict import Kind
 from rig.core.errors import ConfigError, PlanError, RecordingError
 from rig.core.sample import Phase
-from rig.experiments._data_sheets import questions
+from rig.experiments import new_rig as making
+from rig.experiments._data_sheets import check_answers, questions
 from rig.experiments.trials.plan import make_plan, plan_of
 
 LEVER: dict[str, Any] = {
@@ -70,12 +71,14 @@ def test_values_are_at_the_hand(
     ],
 )
 def test_amplifier_or_winding_limits_the_peak(more: dict[str, Any], peak_a: float) -> None:
-    made = rig.new_rig(**LEVER, **more).experiment.rig
-    assert made.limits.effort == made.amplifier.effort_limit == pytest.approx(0.462 * peak_a)
-    assert made.limits.nominal_effort == pytest.approx(0.462 * min(peak_a, 2.5))
-    if made.amplifier.drive == "voltage":
-        assert made.amplifier.back_emf_damping == pytest.approx(0.462**2 / 4.0, rel=1e-5)
-        assert not made.amplifier.current_monitor
+    draft = making._Draft("mine")
+    making._describe(draft, check_answers({**LEVER, **more}))
+    made = {key.removeprefix("rig."): value for key, (value, _) in draft.keys.items()}
+    assert made["limits.effort"] == made["amplifier.effort_limit"] == pytest.approx(0.462 * peak_a)
+    assert made["limits.nominal_effort"] == pytest.approx(0.462 * min(peak_a, 2.5))
+    if made["amplifier.drive"] == "voltage":
+        assert made["amplifier.back_emf_damping"] == pytest.approx(0.462**2 / 4.0, rel=1e-5)
+        assert not made["amplifier.current_monitor"]
 
 
 def test_every_number_of_the_file_has_its_source_and_assumptions_are_listed(tmp_path: Path) -> None:

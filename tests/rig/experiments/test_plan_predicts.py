@@ -97,6 +97,7 @@ def test_a_reading_beyond_the_speed_limit_is_refused_with_a_cutoff(lines: int, n
     assert reaches(again, 0) == (True, "")
 
 
+@pytest.mark.exhaustive("::test_no_cutoff_is_named_where_none_is_quiet")
 def test_an_estimator_that_diverges_is_refused_without_a_change_that_cannot_help() -> None:
     """The remedy was `trial.effort = nan and wall.stiffness = nan`."""
 

@@ -128,8 +128,12 @@ def test_each_has_its_picture(results: dict[str, Any]) -> None:
 
 def test_other_libraries_get_the_units_with_the_numbers(results: dict[str, Any]) -> None:
     recording = results["recording"]
-    frame = recording.to_pandas()
-    assert frame.attrs["units"]["velocity"] == "rad/s"
+    assert recording.to_pandas().attrs["units"]["velocity"] == "rad/s"
+
+
+@pytest.mark.exhaustive("::test_other_libraries_get_the_units_with_the_numbers")
+def test_xarray_gets_units_meanings_and_numbers(results: dict[str, Any]) -> None:
+    recording = results["recording"]
     xarray = pytest.importorskip("xarray")
     found = recording.to_xarray()
     assert isinstance(found, xarray.Dataset)

@@ -44,15 +44,6 @@ def disturb_rig(monkeypatch: pytest.MonkeyPatch, disturb: Callable[[FramedDevice
     monkeypatch.setattr(devices, "open_device", open_device)
 
 
-def test_a_described_rig_agrees_with_its_weight(tmp_path: Path) -> None:
-    found = weigh_rig(tmp_path)
-    assert found.weight == pytest.approx(WEIGHT)
-    assert found.measured.holds(WEIGHT)
-    assert found.agrees
-    assert found.bare.coulomb.value == pytest.approx(RIGID.rig.mechanics.motor_coulomb, rel=0.01)
-    assert [open_recording(path).rows["effort_sent"][-1] for path in found.recordings] == [0.0, 0.0]
-
-
 @pytest.mark.parametrize("true", first_by_default([0.9, 1.15]))
 def test_a_wrong_constant_is_measured_beside_a_bent_cable(
     true: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -87,7 +78,12 @@ def test_a_person_hangs_the_mass_between_two_runs_of_one_device(
 
     monkeypatch.setattr(devices, "open_device", open_device)
     request = WeighRequest(experiment=RIGID, url="usb://1209:0001", output=tmp_path, mass_kg=MASS, arm_m=ARM)
-    assert weigh(request, hang).agrees
+    found = weigh(request, hang)
+    assert found.weight == pytest.approx(WEIGHT)
+    assert found.measured.holds(WEIGHT)
+    assert found.agrees
+    assert found.bare.coulomb.value == pytest.approx(RIGID.rig.mechanics.motor_coulomb, rel=0.01)
+    assert [open_recording(path).rows["effort_sent"][-1] for path in found.recordings] == [0.0, 0.0]
     assert len(held) == 1
     (text,) = asked
     assert "hang 0.1 kg on it at 0.08 m" in text
