@@ -4,7 +4,9 @@ A new format begins by calling `check_recording_format` with a function that wri
 one that reads it back. Features that a format lacks are listed in its `Limits`, not skipped.
 """
 
+import os
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -153,21 +155,20 @@ def check_no_damage_is_silent(write: Write, read: Read) -> None:
     recording = Recording(example_header(), example_rows(40), {"reason": "finished"})
     path = write(recording)
     good = path.read_bytes()
-    for place, flip in _flips(len(good)):
-        path.write_bytes(good[:place] + bytes([good[place] ^ flip]) + good[place + 1 :])
-        try:
-            found = read(path)
-        except RecordingError:
-            continue
-        if found.complete and not found.lost:
-            _assert_equal_rows(found, recording, Limits())
-            assert found.header == recording.header
-            assert found.trailer == recording.trailer
-    path.write_bytes(good)
+    with path.open("r+b", buffering=0) as file:  # to truncate it and write it again takes some ms
+        for place, flip in _flips(len(good)):
+            os.pwrite(file.fileno(), bytes([good[place] ^ flip]), place)
+            with suppress(RecordingError):
+                found = read(path)
+                if found.complete and not found.lost:
+                    _assert_equal_rows(found, recording, Limits())
+                    assert found.header == recording.header
+                    assert found.trailer == recording.trailer
+            os.pwrite(file.fileno(), good[place : place + 1], place)
     _assert_equal_rows(read(path), recording, Limits())
 
 
-def _flips(size: int, count: int = 120) -> Iterator[tuple[int, int]]:
+def _flips(size: int, count: int = 60) -> Iterator[tuple[int, int]]:
     rng = np.random.default_rng(3)
     for place in np.unique(
         np.concatenate([rng.integers(0, size, count), np.arange(16), size - 1 - np.arange(16)])

@@ -3,6 +3,7 @@
 import math
 import os
 import stat
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,17 +43,22 @@ def test_second_writer_continues_the_numbers_of_the_first(tmp_path: Path) -> Non
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
+def each_torn(path: Path, places: Iterable[int]) -> Iterator[int]:
+    """Damage one byte of the file after another, and repair it."""
+    whole = path.read_bytes()
+    with path.open("r+b", buffering=0) as file:
+        for place in places:
+            os.pwrite(file.fileno(), bytes([whole[place] ^ 0x55]), place)
+            yield place
+            os.pwrite(file.fileno(), whole[place : place + 1], place)
+
+
 def test_torn_wish_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "hand"
     with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
         mover.move(0.1, 2.0)
-        whole = path.read_bytes()
-        for place in range(len(MAGIC), WISH_END):
-            torn = bytearray(whole)
-            torn[place] ^= 0x55
-            path.write_bytes(torn)
+        for _ in each_torn(path, range(len(MAGIC), WISH_END)):
             assert looker.read() is None
-        path.write_bytes(whole)
         assert looker.read() == Wish(1, 0.1, 2.0)
 
 
@@ -121,9 +127,6 @@ def test_a_torn_motion_is_left_out(tmp_path: Path) -> None:
     with SharedHand.create(path) as mover, SharedHand.open(path) as device:
         device.tell(moved(7))
         whole = path.read_bytes()
-        torn = [place for place in range(WISH_END, SIZE) if whole[place]]
-        for place in torn:
-            path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
+        for _ in each_torn(path, [place for place in range(WISH_END, SIZE) if whole[place]]):
             assert mover.motions() == []
-        path.write_bytes(whole)
         assert mover.motions() == [moved(7)]

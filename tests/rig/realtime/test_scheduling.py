@@ -153,18 +153,18 @@ def test_contexts_in_any_order_hold_until_the_last_one_ends() -> None:
 
 @pytest.mark.usefixtures("realtime_rights")
 def test_contexts_of_several_threads_do_not_undo_each_other() -> None:
-    together = threading.Barrier(4)
+    together = threading.Barrier(3)
 
     def body(_: int) -> bool:
-        for _ in range(5):
+        for _ in range(4):
             with obtained(Asked()):
                 if locked() == 0:
                     return False
         together.wait(CHILD_S)
         return True
 
-    with ThreadPoolExecutor(4) as threads:
-        assert list(threads.map(body, range(4))) == [True] * 4
+    with ThreadPoolExecutor(3) as threads:
+        assert list(threads.map(body, range(3))) == [True] * 3
     assert locked() == 0
 
 
