@@ -1,17 +1,23 @@
 """Each program of `rig/docs/examples` runs as it stands, in an empty directory."""
 
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import rig.cli
 from rig.testing import SerialRig
+from rig.views.plots import style
 from tests.conformance.tiers import first_by_default
+from tests.system.test_docs import run_line
 
 EXAMPLES = Path(__file__).parents[2] / "rig/docs/examples"
 PROGRAMS = ["hit.py", *sorted({path.name for path in EXAMPLES.glob("[!t]*.py")} - {"hit.py"})]
+PARALLEL = "map_on_all_cores.py"  # starts workers, which import the main program
 
 
 def run(place: Path, *command: str | Path) -> str:
@@ -37,18 +43,41 @@ def test_there_are_ten_short_ones_and_the_page_lists_them() -> None:
     assert max(path.read_text(encoding="utf-8").count("\n") for path in paths) <= 80
 
 
-@pytest.mark.parametrize("name", first_by_default(PROGRAMS))
-def test_a_program_runs(name: str, tmp_path: Path) -> None:
-    assert run(tmp_path, sys.executable, EXAMPLES / name)
+@pytest.mark.parametrize("name", first_by_default(name for name in PROGRAMS if name != PARALLEL))
+def test_a_program_runs(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Run the program and its commands in this process, which has loaded the libraries and the kernels."""
+    run_process = subprocess.run
+
+    def run_command(words: list[str], **options: Any) -> Any:
+        if words[0] != "rig":
+            return run_process(words, **options)
+        assert rig.cli.run(words[1:]) == 0
+        return None
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(subprocess, "run", run_command)
+    monkeypatch.setattr(style, "DPI", 10)
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    assert capsys.readouterr().out
+
+
+@pytest.mark.exhaustive("::test_a_program_runs")
+def test_a_program_with_workers_runs(tmp_path: Path) -> None:
+    assert run(tmp_path, sys.executable, EXAMPLES / PARALLEL)
 
 
 @pytest.mark.exhaustive(
     "tests/rig/testing/test_plugin.py::test_golden_recordings_are_missed_made_and_compared"
 )
-def test_the_golden_test_makes_its_recording_and_passes_with_it(tmp_path: Path) -> None:
+def test_the_golden_test_makes_its_recording_and_passes_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "test_golden.py").write_text((EXAMPLES / "test_golden.py").read_text(encoding="utf-8"))
-    for options in (["--rig-golden=update"], []):
-        run(tmp_path, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options)
+    for options in (" --rig-golden=update", ""):
+        run_line(f"pytest -q{options} test_golden.py")
     assert list(tmp_path.rglob("golden/*"))
 
 

@@ -23,8 +23,8 @@ pytestmark = [
 
 COMMANDS = "tests/system/test_commands.py"
 REFUSALS = f"{COMMANDS}::test_a_refusal_is_one_line_with_its_exit_code_and_leaves_nothing"
-# Tests of what looks up names of extras, and a good run of each command. Everything else is only collected, which shows that it
-# imports no extra; beyond that it cannot differ.
+# Tests of what looks up names of extras, and a good run of each command. Everything else is only collected, which
+# shows that it imports no extra; beyond that it cannot differ.
 RUN = (
     *(f"tests/rig/core/test_{name}.py" for name in ("extras", "lazy", "plugins")),
     "tests/rig/cli",
