@@ -42,12 +42,6 @@ def start(arguments: tuple[str, ...], directory: Path) -> subprocess.Popen[str]:
     )
 
 
-def output_of(process: subprocess.Popen[str]) -> str:
-    out, err = process.communicate(timeout=120.0)
-    assert process.returncode == 0, err
-    return out
-
-
 def facts(value: Any) -> Any:
     """Return a JSON value without paths and times."""
     if isinstance(value, dict):
@@ -67,14 +61,26 @@ def rows_by_name(directory: Path) -> dict[str, Any]:
     "tests/rig/recording/test_recording_recorder.py::test_rows_reach_the_file_while_the_loop_runs"
 )
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_killed_command_is_recovered_and_ends_as_ever_when_run_again(name: str, tmp_path: Path) -> None:
+def test_a_killed_command_is_recovered_and_ends_as_ever_when_run_again(
+    name: str, run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The killed runs are processes; the others run here, where the kernels have been loaded."""
     command = (*COMMANDS[name], "--no-plot", "--json")
-    output_of(start(command, tmp_path / "warm"))  # compiles what the command needs
+    whole, here = tmp_path / "whole", tmp_path / "here"
+    for place in (whole, here):
+        place.mkdir()
+
+    def result() -> Any:
+        code, out, err = run(*command)
+        assert code == 0, err
+        return facts(json.loads(out))
+
+    monkeypatch.chdir(whole)
+    expected, rows_of_all = result(), rows_by_name(whole)  # and compiles what the command needs
     began = time.monotonic()
-    expected = facts(json.loads(output_of(start(command, tmp_path / "whole"))))
+    start(command, tmp_path / "timed").communicate(timeout=120.0)
     seconds = time.monotonic() - began
-    whole = rows_by_name(tmp_path / "whole")
-    here = tmp_path / "here"
+    monkeypatch.chdir(here)
     drawn = random.Random(name)
     for _ in range(KILLS):
         process = start(command, here)
@@ -84,15 +90,14 @@ def test_a_killed_command_is_recovered_and_ends_as_ever_when_run_again(name: str
         assert process.returncode in {-signal.SIGKILL, 0}, "a quick machine may have ended it before"
         for capture in here.rglob("*.rigcap"):
             os.utime(capture, (AN_HOUR_AGO, AN_HOUR_AGO))
-        recovering = start(("recording", "recover", "."), here)
-        _, err = recovering.communicate(timeout=60.0)
+        code, _, err = run("recording", "recover", ".")
         unreadable = list(here.rglob("*.rigcap"))
-        assert recovering.returncode == (9 if unreadable else 0), err
+        assert code == (9 if unreadable else 0), err
         for capture in unreadable:  # killed while it wrote the header: nothing had moved
             assert capture.name in err
             assert capture.stat().st_size < HEADER_BYTES
             capture.unlink()
         for recording, rows in rows_by_name(here).items():  # a map has none, but a journal
             for column in set(rows.dtype.names) - set(FITTED):
-                assert rows[column].tobytes() == whole[recording][column][: len(rows)].tobytes()
-    assert facts(json.loads(output_of(start(command, here)))) == expected
+                assert rows[column].tobytes() == rows_of_all[recording][column][: len(rows)].tobytes()
+    assert result() == expected
