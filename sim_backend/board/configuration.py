@@ -27,7 +27,7 @@ from rig.core.model import RigModel
 FIRMWARE = "simulated 1"
 
 
-@lru_cache(maxsize=64)  # all devices of a rig have the same dictionary
+@lru_cache(maxsize=64)  # all devices of a rig have the same dictionary, which takes 5 ms to pack
 def describe(
     model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
 ) -> dictionaries.Dictionary:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,8 @@ class Core:
         self._memory = ctypes.create_string_buffer(library.host_bytes())
         self.address = ctypes.addressof(self._memory)
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
-        self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
+        rig = replace(model, operator=None, reach=None)  # each trial draws another movement
+        self.dictionary = describe(rig, name or model.name, rate, maximum, law_maximum)
         self.hash = self.dictionary.hash
         # The struct has the address of `packed`: the dictionary must exist as long as the firmware.
         setup = BoardSetup.of(model, self.dictionary.packed, self.hash, rate)
