@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from tests.conformance.started import started
 from tests.conformance.tiers import first_by_default
 
 PROGRAM = """
-import asyncio, os, signal, sys, threading, time
+import asyncio, os, signal, sys, threading
 import rig
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
@@ -68,44 +69,70 @@ try:
 except rig.errors.StoppedError as error:
     assert error.signal == signal.SIGINT
 assert called == [signal.SIGINT]
+raise SystemExit(0)
 """
-# An interpreter that KeyboardInterrupt ends kills itself by SIGINT, unless a thread still runs code at its end.
-INTERRUPTED = {1, -signal.SIGINT}
 EXITS = """
 signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(7))
 run()
 """
 
 
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    """Restore the handlers of signals that a program sets."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.signals
+@pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize(
-    ("ending", "number", "codes"),
+    ("program", "number", "ends", "realtime"),
     first_by_default(
         [
-            pytest.param(TO_THREAD, signal.SIGINT, INTERRUPTED, id="to_thread"),
-            pytest.param(JOINED, signal.SIGTERM, {-signal.SIGTERM}, id="default action"),
-            pytest.param(JOINED, signal.SIGINT, INTERRUPTED, id="joined"),
-            pytest.param(DAEMON, 0, {0}, id="the program ends"),
-            pytest.param(HANDLED, signal.SIGINT, {0}, id="a handler of its own"),
-            pytest.param(EXITS, signal.SIGTERM, {7}, id="a handler that exits"),
+            pytest.param(TO_THREAD, signal.SIGINT, KeyboardInterrupt, False, id="to_thread"),
+            pytest.param(HANDLED, signal.SIGINT, SystemExit, False, id="a handler of its own"),
+            pytest.param(EXITS, signal.SIGTERM, SystemExit, False, id="a handler that exits"),
+            pytest.param(TO_THREAD, signal.SIGINT, KeyboardInterrupt, True, id="in real time"),
         ],
+        3,
     ),
 )
-def test_a_run_stops_in_any_thread(ending: str, number: int, codes: set[int], tmp_path: Path) -> None:
-    assert_stopped(ending, number, codes, tmp_path, realtime=False)
+def test_a_run_stops_in_any_thread(
+    program: str, number: int, ends: type[BaseException], realtime: bool, tmp_path: Path
+) -> None:
+    """Run the program in this process: its signals arrive in the main thread, as they do in any other."""
+    names = {"SIGNAL": int(number), "REALTIME": realtime, "OUTPUT": str(tmp_path)}
+    with pytest.raises(ends) as ended:
+        exec(PROGRAM + program, names)
+    assert getattr(ended.value, "code", None) == {EXITS: 7, HANDLED: 0}.get(program)
+    assert_stopped(tmp_path)
 
 
 @pytest.mark.signals
 @pytest.mark.exhaustive("::test_a_run_stops_in_any_thread")
-def test_a_run_in_real_time_stops_too(tmp_path: Path) -> None:
-    assert_stopped(TO_THREAD, signal.SIGINT, INTERRUPTED, tmp_path, realtime=True)
-
-
-def assert_stopped(ending: str, number: int, codes: set[int], output: Path, *, realtime: bool) -> None:
-    program = f"SIGNAL, REALTIME, OUTPUT = {int(number)}, {realtime}, {str(output)!r}\n{PROGRAM}{ending}"
-    with started(sys.executable, "-c", program, stderr=subprocess.PIPE, text=True) as process:
+@pytest.mark.parametrize(
+    ("program", "number", "codes"),
+    [
+        pytest.param(JOINED, signal.SIGTERM, {-signal.SIGTERM}, id="default action"),
+        # An interpreter that KeyboardInterrupt ends kills itself by SIGINT, unless a thread still runs code at its end.
+        pytest.param(JOINED, signal.SIGINT, {1, -signal.SIGINT}, id="joined"),
+        pytest.param(DAEMON, 0, {0}, id="the program ends"),
+    ],
+)
+def test_a_run_stops_before_its_process_ends(
+    program: str, number: int, codes: set[int], tmp_path: Path
+) -> None:
+    text = f"SIGNAL, REALTIME, OUTPUT = {int(number)}, False, {str(tmp_path)!r}\n{PROGRAM}{program}"
+    with started(sys.executable, "-c", text, stderr=subprocess.PIPE, text=True) as process:
         error_output = process.communicate(timeout=90)[1]
     assert process.returncode in codes, error_output
+    assert_stopped(tmp_path)
+
+
+def assert_stopped(output: Path) -> None:
     (path,) = output.glob("*.*")  # sealed, and no second repeat
     recording = open_recording(path)
     assert (path.suffix, recording.complete, recording.trailer["reason"]) == (".parquet", True, "stopped")
@@ -137,7 +164,8 @@ def test_rig_stop_stops_every_run_and_its_repeats(tmp_path: Path) -> None:
             assert (recording.complete, recording.trailer["reason"]) == (True, "stopped")
     assert len(list(tmp_path.glob("*/*"))) == 2
 
+    coarse: Any = {"dampings": [0.1, 0.2, 0.3, 0.4], "ratio": 3.0}
     with pytest.raises(StoppedError, match="tasks are done"):
-        rig.zwidth("koul-compliant", watch=lambda progress: rig.stop())
+        rig.zwidth("koul-compliant", ["uniform:10k"], watch=lambda progress: rig.stop(), **coarse)
     assert rig.stop() == 0
     rig.hit("koul-compliant", duration_s=0.5, output=tmp_path / "c")
