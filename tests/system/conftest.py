@@ -1,5 +1,6 @@
 """Fixtures for the tests of the command line: run a command, and make its pictures quick to draw."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,3 +57,5 @@ def few_curve_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compute curves at few points; the limits at B = 0 and at the wall's damping do not depend on the number."""
     for name, number in {"CURVE_POINTS": 5, "CORNER_POINTS": 3, "PASSIVE_POINTS": 5}.items():
         monkeypatch.setattr(summary, name, number)
+    with suppress(ImportError):  # without this extra
+        monkeypatch.setattr("rig.extras.papers.chawda.levant_plot._POINTS", 10)

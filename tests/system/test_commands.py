@@ -167,7 +167,7 @@ ROWS = (
         "estimator settings rig velocity_rate_hz resolution unit motion samples tolerance costs "
         "cost_unknown header test arithmetic", "kalman",
         (("period --rig koul-rigid", 2, "cannot be exported as C"), (f"fdm {NO_FILE}", 9, NO_FILE)), "kalman.h"),
-    Row("estimators lipschitz", "hit.parquet",
+    Row("estimators lipschitz", "hit.parquet --sines 2",
         "lipschitz residual_rms offset frequencies_hz amplitudes phases lipschitz_with_one_more_sine", "use it",
         ((NO_FILE, 9, NO_FILE),)),
     Row("estimators rank",

@@ -12,11 +12,10 @@ import pytest
 import rig.cli
 from rig.testing import SerialRig
 from rig.views.plots import style
-from tests.conformance.tiers import first_by_default
 from tests.system.test_docs import run_line
 
 EXAMPLES = Path(__file__).parents[2] / "rig/docs/examples"
-PROGRAMS = ["hit.py", *sorted({path.name for path in EXAMPLES.glob("[!t]*.py")} - {"hit.py"})]
+PROGRAMS = sorted(path.name for path in EXAMPLES.glob("[!t]*.py"))
 PARALLEL = "map_on_all_cores.py"  # starts workers, which import the main program
 
 
@@ -43,7 +42,8 @@ def test_there_are_ten_short_ones_and_the_page_lists_them() -> None:
     assert max(path.read_text(encoding="utf-8").count("\n") for path in paths) <= 80
 
 
-@pytest.mark.parametrize("name", first_by_default(name for name in PROGRAMS if name != PARALLEL))
+@pytest.mark.exhaustive("tests/system/test_readme.py::test_the_example_with_a_new_law_runs")
+@pytest.mark.parametrize("name", [name for name in PROGRAMS if name != PARALLEL])
 def test_a_program_runs(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -63,7 +63,7 @@ def test_a_program_runs(
     assert capsys.readouterr().out
 
 
-@pytest.mark.exhaustive("::test_a_program_runs")
+@pytest.mark.exhaustive("tests/system/test_readme.py::test_the_example_with_a_new_law_runs")
 def test_a_program_with_workers_runs(tmp_path: Path) -> None:
     assert run(tmp_path, sys.executable, EXAMPLES / PARALLEL)
 
