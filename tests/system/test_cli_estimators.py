@@ -1,11 +1,8 @@
-"""`rig estimators`: the list, a comparison with its picture, and tuned settings that a hit accepts."""
+"""`rig estimators list` prints what each estimator's own record contains."""
 
-import shlex
 from typing import Any
 
 from rig.control import estimators
-
-HIT = shlex.split("--duration 0.25 --set verdict.tail_s=0.1 --set trial.release_s=0.02 --no-plot --json")
 
 
 def test_list_shows_every_estimator_with_its_parameters_delay_and_source(run: Any) -> None:

@@ -125,43 +125,14 @@ def test_a_damaged_last_line_is_reported_and_set_aside(
     assert resumed.content["damaged"][0]["file"] == "session.log.damaged-1"
 
 
-@pytest.mark.parametrize(
-    ("code", "words"), [("P01", "already contains a rehearsal with a simulated person"), ("../P03", "path")]
-)
-def test_a_refused_code_changes_nothing(
-    study: Path, capsys: pytest.CaptureFixture[str], code: str, words: str
-) -> None:
+def test_a_refused_code_changes_nothing(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path: path.stat().st_mtime_ns for path in study.rglob("*")}
     status, _, err = call(
-        capsys, "run", str(study / "quick.toml"), code, "--rehearse", "--study", str(study / "all")
+        capsys, "run", str(study / "quick.toml"), "P01", "--rehearse", "--study", str(study / "all")
     )
     assert status == 2
-    assert words in err
+    assert "already contains a rehearsal with a simulated person" in err
     assert {path: path.stat().st_mtime_ns for path in study.rglob("*")} == before
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--rehearse", "--threshold", "hidden-dua=60"], "did you mean hidden-dual?"),
-        (["--rehearse", "--threshold", "hidden-dual=nan"], "--threshold hidden-dual=nan is not a stiffness"),
-        (["--rehearse", "--spread", "0"], "--spread 0 is not a stiffness"),
-        (["--rehearse", "--lapse-rate", "5"], "--lapse-rate 5 is not a share"),
-        (["--rehearse", "--lapse-rate", "-0.5"], "is not a share"),
-        (["--rehearse", "--people-sd", "-1"], "--people-sd -1 is not a standard deviation"),
-        (["--rehearse", "--row", "99"], "give --row 0 to 11"),
-        (["--spread", "3"], "need --rehearse"),
-    ],
-)
-def test_an_impossible_simulated_person_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
-) -> None:
-    status, _, err = call(
-        capsys, "run", str(written(tmp_path)), "P01", "--study", str(tmp_path / "all"), *options
-    )
-    assert status == 2
-    assert words in err
-    assert not (tmp_path / "all").exists()
 
 
 def test_a_session_with_a_person_needs_a_terminal(

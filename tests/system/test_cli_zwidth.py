@@ -1,4 +1,4 @@
-"""`rig zwidth`: the table of a map, JSON, Ctrl-C, and a map on a device."""
+"""`rig zwidth`: bounds in the table, and a map on a device."""
 
 import json
 import os
@@ -15,16 +15,11 @@ if numba.config.DISABLE_JIT:
 
 from rig.recording.reader import open_recording
 
-ROOT = Path(__file__).parents[2]
 BRIEF = [
     "--set", "trial.duration_s=0.3", "--set", "verdict.tail_s=0.1", "--set", "homing.settle_s=0.02",
     "--operator", "none", "--offsets", "0.1",
 ]  # fmt: skip
 TINY = [*BRIEF, "--search", "bisection", "--ratio", "3", "--scheme", "uniform:10k", "-B", "0.1,0.3"]
-WAIT_S = 60.0
-
-
-# --- results --------------------------------------------------------------------------------------------------
 
 
 def test_a_bound_is_marked(run: Any) -> None:
@@ -34,12 +29,6 @@ def test_a_bound_is_marked(run: Any) -> None:
     assert felt.count("≥") == 3  # peak, range and area; there is no column at B = 0
     assert "≥ before K" in out
     assert "≥ before B" in out
-
-
-# --- Ctrl-C -----------------------------------------------------------------------------------------------------
-
-
-# --- a device -----------------------------------------------------------------------------------------------------
 
 
 ON_DEVICE = [*TINY[:-1], "0.3", "-K", "40:200"]

@@ -128,7 +128,13 @@ ROWS = (
     ), "maps/*/hits.parquet"),
     Row("design",
         "tests/system/test_cli_design.py::test_json_of_a_design_is_read_again", "", "",
-        (("-K 300", 2, "--must-be-stable"), ("--confirm no", 2, "--confirm needs a device"))),
+        (("-K 300", 2, "--must-be-stable"), ("--confirm no", 2, "--confirm needs a device"),
+        ("--must-be-stable -K -1", 2, "wall.stiffness = -1"), ("--goal best", 2, "'area', 'quiet'"),
+        ("--url sim:// --most-rate 10k", 2, "--most-rate is given together with --url"),
+        ("--scheme uniform:10k,estimator=fmd", 2, "fmd"), ("--fidelity-to 0", 2, "above 0"),
+        ("--round-trip -1", 2, "--round-trip = -1"), ("--paper --rig hapkit", 2, "choose one of koul-rigid"),
+        ("--most-cost 1 --operator none --scheme uniform:10k,cutoff_hz=400", 2, "the limiting one is 1 (--most-cost)"),
+        )),
     Row("theory walls", "--scheme dual:20k/2k",
         "rig motion structure operator end_mass damping rig_damping drive lag_s set_point_delay_s "
         "delay_ticks schemes in_hand not_linear cutoffs picture", "(binds)", (
@@ -189,6 +195,13 @@ ROWS = (
         "directory code row ended stopped trials counted invalid by_machine aborted outside blocks "
         "blocks_done resume messages invalid_trials", "session of P07: complete", (
         ("quick.toml P01 --lapse-rate 0.1", 2, "need --rehearse"),
+        ("quick.toml P03 --rehearse --threshold hidden-dua=60", 2, "did you mean hidden-dual?"),
+        ("quick.toml P03 --rehearse --threshold hidden-dual=nan", 2, "=nan is not a stiffness"),
+        ("quick.toml P03 --rehearse --spread 0", 2, "--spread 0 is not a stiffness"),
+        ("quick.toml P03 --rehearse --lapse-rate -0.5", 2, "is not a share"),
+        ("quick.toml P03 --rehearse --people-sd -1", 2, "--people-sd -1 is not a standard deviation"),
+        ("quick.toml P03 --rehearse --row 99", 2, "give --row 0 to 11"),
+        ("quick.toml ../P03 --rehearse", 2, "path"),
         ("quick.toml 'Anna Smith' --rehearse", 2, "participant code"),
     ), "rehearsals/quick/P07/*.log"),
     Row("session resume", "tests/system/test_cli_session.py::test_a_damaged_last_line_is_reported_and_set_aside",
