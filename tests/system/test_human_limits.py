@@ -100,19 +100,27 @@ def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() 
         ({"rig.limits.oscillations": 11}, "rig.limits.oscillations = 11 (1 to 10 for people)"),
     ],
 )
-def test_other_limits_in_a_file_are_reported_on_a_simulated_rig_and_refused_on_a_real_one(
+def test_other_limits_in_a_file_are_reported_and_refused_on_a_real_rig(
     changes: dict[str, Any], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = held_rig("koul-rigid", **{"wall.damping": 0.05, **changes})
     check = human_limits(experiment)
     assert (check.outcome, text in check.text) == (Outcome.WARNING, True), check.text
-    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
-    assert text in result.messages[0]
-    assert text in result.as_mapping()["messages"][0]
-    assert text in result.recording.header["extra"]["warnings"][0]
     claim_to_be_real(monkeypatch)
     with pytest.raises(PlanError, match="human limits: a person holds the handle"):
         next(hit(HitRequest(experiment=experiment, output=tmp_path, verified=True), admit))
+
+
+def test_a_simulated_trial_with_other_limits_reports_them_in_its_result_and_recording(tmp_path: Path) -> None:
+    experiment = held_rig("koul-rigid", **{"wall.damping": 0.05, "rig.limits.human": False})
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
+    text = human_limits(experiment).text
+    for message in (
+        result.messages[0],
+        result.as_mapping()["messages"][0],
+        result.recording.header["extra"]["warnings"][0],
+    ):
+        assert text in message
 
 
 def test_an_override_for_stall_is_allowed_and_seen(tmp_path: Path) -> None:
