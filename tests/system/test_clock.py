@@ -76,9 +76,6 @@ def test_samples_wait_for_a_host_with_its_own_period(tmp_path: Path) -> None:
     assert (-waited <= period_ns + allowed).all()
 
 
-# ---------------------------------------------------------------------- rig recording timing
-
-
 @pytest.fixture(scope="module")
 def sealed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return hit(tmp_path_factory.mktemp("sealed"), 50.0)

@@ -104,9 +104,6 @@ def broken(kind: FaultKind, *directions: Direction, strikes: int = 1) -> tuple[F
     )
 
 
-# ---------------------------------------------------------------------- the line
-
-
 # What breaks → script, error, the first fault of the device.
 ENDINGS: dict[str, tuple[dict[str, Any], type[Exception], Fault]] = {
     "a pulled plug": ({"frames": broken(FaultKind.UNPLUG, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST),
@@ -135,9 +132,6 @@ def test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest(name: st
     assert name != "a pulled plug" or trial.recording.trailer["reason"] == "link_closed"
 
 
-# ---------------------------------------------------------------------- the device
-
-
 @pytest.mark.exhaustive(
     "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
 )
@@ -152,9 +146,6 @@ def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_runs_again(
     trial = bench.run(device, progress=strike)
     device.resume()
     trial.check(LinkLostError, replays=False)
-
-
-# ---------------------------------------------------------------------- the host
 
 
 @pytest.mark.exhaustive(

@@ -44,9 +44,6 @@ def human_limits(experiment: config.Experiment) -> Check:
     return next(check for check in make_plan(experiment).checks if check.name == "human limits")
 
 
-# ---------------------------------------------------------------------- ways to a person's trial
-
-
 # The motor of the preset "smartknob" is too weak for a hand.
 @pytest.mark.parametrize("preset", [name for name in presets.names() if name != "smartknob"])
 def test_a_persons_trial_on_a_preset_for_automated_trials_has_the_limits_for_people(
@@ -128,9 +125,6 @@ def test_an_override_for_stall_is_allowed_and_seen(tmp_path: Path) -> None:
     assert limits_of(experiment) == (True, pytest.approx(1.3 / 0.286), OSCILLATIONS)
     assert "4.55 times the nominal effort" in human_limits(experiment).text
     assert human_limits(experiment).outcome is Outcome.WARNING
-
-
-# ---------------------------------------------------------------------- what breaks in it
 
 
 @pytest.mark.parametrize("preset", first_by_default(["hapkit", "koul-rigid", "koul-compliant"]))
