@@ -304,22 +304,28 @@ class _Design:
     def rank(self, *terms: str) -> int:
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
+    @cached_property
+    def _places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        of = self.frame.groupby("participant")
+        return of.ngroup().to_numpy(), of.cumcount().to_numpy()
+
     def by_person(self, values: Floats) -> Floats:
         """Arrange `values` in a row for each participant, padded with zeros: shape (participants, n, …)."""
-        of = self.frame.groupby("participant")
-        person, own = of.ngroup().to_numpy(), of.cumcount().to_numpy()
+        person, own = self._places
         rows = np.zeros((person.max() + 1, own.max() + 1, *values.shape[1:]))
         rows[person, own] = values
         return rows
 
-    def alike(self, part: str) -> Floats:
-        """Return 1 for each pair of a participant's values that share a level of the random part, else 0.
-
-        The shape is (participants, n, n), where n is the largest number of values of a participant.
-        """
-        groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
-        number = self.by_person(groups + 1.0)
-        return np.asarray((number[:, :, None] == number[:, None]) & (number[:, :, None] > 0.0), np.float64)
+    @cached_property
+    def alike(self) -> list[Floats]:
+        """For each random part, 1 where two of a participant's values share a level: shape (participants, n, n)."""
+        found = []
+        for part in self.parts:
+            groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
+            number = self.by_person(groups + 1.0)
+            same = (number[:, :, None] == number[:, None]) & (number[:, :, None] > 0.0)
+            found.append(same.astype(np.float64))
+        return found
 
     @cached_property
     def participants(self) -> int:
@@ -403,8 +409,7 @@ def _minus_log_likelihood(
 
 
 def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
-    parts = [design.alike(part) for part in design.parts]
-    limits = design.frame["limit"].to_numpy()
+    parts, limits = design.alike, design.frame["limit"].to_numpy()
     data = len(limits), design.by_person(limits), design.by_person(fixed), parts
     # The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
     # zero. Tried on 2026-11-29 (statsmodels 0.15.0, 70 fits to 14 studies): those with gradients stop up to 0.63 short

@@ -60,26 +60,34 @@ def opened(port: str) -> FramedDevice:
     return devices.open_device(f"moteus://{port}", bridged_rig())
 
 
-def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link(port: str) -> None:
-    """The drive's own watchdog ends the torque; the next bridge accepts the drive in this state."""
+def test_a_link_starts_a_bridge_and_one_that_is_killed_is_a_lost_link(port: str) -> None:
     with opened(port) as device:
         assert isinstance(device.link, BridgeLink)
-        device.configure(SLOW_RUN_PARAMETERS)
-        device.arm()
-        os.kill(device.link.process, signal.SIGKILL)
-        with pytest.raises(LinkLostError):
-            device.states(PATIENCE_S)
-    with ThreadPoolExecutor() as threads:  # the thread that opens it ends here
-        device = threads.submit(opened, port).result()
-    with device:
-        assert isinstance(device.link, BridgeLink)
-        bridge = device.link.process
         assert device.dictionary.firmware == "bridge to moteus 1.0.0"
         assert not device.dictionary.simulated
         device.configure(SLOW_RUN_PARAMETERS)
         device.arm()
         assert len(device.states(0.3)) > 5
         assert device.link.bus_facts()["replies"] > 20
+        os.kill(device.link.process, signal.SIGKILL)
+        with pytest.raises(LinkLostError):
+            device.states(PATIENCE_S)
+
+
+@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_one_that_is_killed_is_a_lost_link")
+def test_the_next_bridge_accepts_the_drive_of_one_that_was_killed_and_ends_with_its_link(port: str) -> None:
+    """The drive's own watchdog ended the torque."""
+    with opened(port) as device:
+        device.configure(SLOW_RUN_PARAMETERS)
+        device.arm()
+        os.kill(device.link.process, signal.SIGKILL)  # type: ignore[attr-defined]
+    with ThreadPoolExecutor() as threads:  # the thread that opens it ends here
+        device = threads.submit(opened, port).result()
+    with device:
+        assert isinstance(device.link, BridgeLink)
+        bridge = device.link.process
+        device.configure(SLOW_RUN_PARAMETERS)
+        device.arm()
         device.disarm(clear_fault=True)  # on a busy machine the simulated drive may have been late
     assert not Path(f"/proc/{bridge}").exists()
 
@@ -144,7 +152,7 @@ def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
     os.close(mouth)
 
 
-@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link")
+@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_one_that_is_killed_is_a_lost_link")
 def test_a_link_reports_the_refusal_of_its_bridge(port: str) -> None:
     model = bridged_rig()
     other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))
@@ -156,7 +164,7 @@ def test_a_link_reports_the_refusal_of_its_bridge(port: str) -> None:
         address_of(DeviceUrl.parse(f"moteus://{port}?id=nine"))
 
 
-@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link")
+@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_one_that_is_killed_is_a_lost_link")
 def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text(describe.text(look(DeviceUrl("moteus", port, {}, port)), f"moteus://{port}"))

@@ -85,13 +85,24 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
     written = write_study_tables(found, tmp_path / "out")
     assert {"runs.csv", "differences.csv", "tables.json"} <= set(written)
     assert render(found, {})
-    others = [tracks_name(code) for code in list(of)[1:]]
-    for picture, draw in pictures(found).items():
-        if picture not in others:  # the searches of one person are drawn as those of any other
-            figure = draw(found)
-            figure.get_layout_engine().execute(figure)
     if len(of) < 3 or len({one.threshold("dual", 0.0) for one in of.values()}) == 1:
         assert reported_inferences(found) == []
+
+
+@pytest.mark.exhaustive(
+    "tests/extras/study/test_session_report.py::test_pictures_are_drawn_with_units_in_their_labels"
+)
+@pytest.mark.parametrize("name", ["equal", "judged by the machine"])
+def test_a_degenerate_study_has_its_pictures(name: str, tmp_path: Path) -> None:
+    """The searches of one person are drawn as those of any other."""
+    sections, of = CASES[name]
+    write_study(tmp_path, protocol(**{"search": {"step": 50.0}, "order": {"repeats": 1}, **sections}), of)
+    found = analyse([tmp_path])
+    others = [tracks_name(code) for code in list(of)[1:]]
+    for picture, draw in pictures(found).items():
+        if picture not in others:
+            figure = draw(found)
+            figure.get_layout_engine().execute(figure)
 
 
 @pytest.mark.exhaustive("::test_a_degenerate_study_has_its_tables_and_its_report")

@@ -210,8 +210,9 @@ def test_a_series_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other()
 def test_up_down_rules_settle_where_levitt_says(n: int) -> None:
     """The share of stable verdicts to the n-th power is a half (Levitt); measured on the walls of a long run."""
     observer = Observer(threshold=500.0, spread=60.0)
-    rule = Staircase(levels=LEVELS, stable_to_rise=n, steps=(1,), turns=1000, most=450)
-    visited = np.array([answer.probe.level for answer in run(rule, observer, seed=4)[50:]])
+    walls = 450 if n == 1 else 900
+    rule = Staircase(levels=LEVELS, stable_to_rise=n, steps=(1,), turns=1000, most=walls)
+    visited = np.array([answer.probe.level for answer in run(rule, observer, seed=4)[walls // 9 :]])
     assert rule.share == pytest.approx(0.5 ** (1 / n))
     assert visited.mean() == pytest.approx(observer.level_of(rule.share), abs=20.0)
 
@@ -365,7 +366,7 @@ def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(
     """The search resolves K50 as finely as the levels are spaced, also for observers of small spread."""
     make = partial(search.make, "psi", levels=ratio_levels(50.0, 3000.0, 1.1))
     observer = Observer(threshold=threshold, spread=share * threshold, lapse_rate=0.02)
-    found = performance("psi", make, observer, 40, seed=5, off_lattice=0.04 * threshold)
+    found = performance("psi", make, observer, 20, seed=5, off_lattice=0.04 * threshold)
     assert abs(found.bias) < 0.02 * threshold
     assert found.covered >= 0.9
 

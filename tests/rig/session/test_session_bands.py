@@ -223,6 +223,9 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
     assert "operator.reach_s" in found["trial.impact_speed"].remedy
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/realtime/test_kernel.py::test_modules_without_kernels_do_not_load_the_compiler"
+)
 def test_reading_a_protocol_or_analysing_a_study_does_not_import_the_simulated_hand() -> None:
     script = "import sys, rig.session.planning._load, rig.extras.study; print({'numba', 'scipy'} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", script], text=True) == "set()\n"
