@@ -98,10 +98,10 @@ def test_scipys_cross_spectra_agree_with_the_ratio_of_lines() -> None:
 
 
 def test_the_stated_variance_is_the_scatter_of_repeated_measurements() -> None:
-    """With noise in both channels, the chi-square of 160 estimates of 20 lines has its expected mean."""
+    """With noise in both channels, the chi-square of 80 estimates of 20 lines has its expected mean."""
     excites = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(4)]
     score, parts = [], []
-    for trial in range(160):
+    for trial in range(80):
         runs = [
             excited(s, rate=500.0, effort=0.5, position=2e-6, seed=(trial, i)) for i, s in enumerate(excites)
         ]
@@ -110,8 +110,8 @@ def test_the_stated_variance_is_the_scatter_of_repeated_measurements() -> None:
         score.append(np.mean(np.abs(error) ** 2 / found.variance))
         parts.append((np.mean(error.real**2), np.mean(error.imag**2)))
     # With three complex degrees of freedom |error|²/variance has the mean ν/(ν − 1) of F(2, 2ν), ν = 3, and the
-    # variance 27/4: three standard deviations of the mean of 3200.
-    assert np.mean(score) == pytest.approx(1.5, abs=3.0 * np.sqrt(6.75 / 3200))
+    # variance 27/4: three standard deviations of the mean of 1600.
+    assert np.mean(score) == pytest.approx(1.5, abs=3.0 * np.sqrt(6.75 / 1600))
     real, imaginary = np.mean(parts, axis=0)
     assert real == pytest.approx(imaginary, rel=0.12)  # circular, as `deviation` takes it
 
@@ -119,12 +119,12 @@ def test_the_stated_variance_is_the_scatter_of_repeated_measurements() -> None:
 def test_student_keeps_the_promise_of_a_z_score_with_few_realisations() -> None:
     excites = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(3)]
     beyond = []
-    for trial in range(160):
+    for trial in range(80):
         runs = [excited(s, rate=500.0, effort=0.5, seed=(trial, i)) for i, s in enumerate(excites)]
         found = periodic(runs)
         beyond.append((found.z - mass_damper(found.lines_hz)).real < -found.spread(2.0))
-    # The one-sided 2σ share of a normal variable, within three standard deviations of a count of 3200.
-    assert np.mean(beyond) == pytest.approx(0.0228, abs=3.0 * np.sqrt(0.0228 / 3200))
+    # The one-sided 2σ share of a normal variable, within three standard deviations of a count of 1600.
+    assert np.mean(beyond) == pytest.approx(0.0228, abs=3.0 * np.sqrt(0.0228 / 1600))
 
 
 def test_one_period_of_one_realisation_has_no_variance() -> None:

@@ -8,60 +8,35 @@ import numba
 import numpy as np
 import pytest
 
-from rig.control.estimators.estimator import Estimator
-from rig.control.estimators.plain_estimator import estimator
-from rig.control.plain_functions import Memory, Parameter, Parameters
-from rig.control.plain_law import PlainLaw, law
+from rig.control.plain_functions import Memory, Parameters
+from rig.control.plain_law import law
 from rig.core.errors import ConfigError
 from rig.testing.estimators import velocities
 from rig.testing.laws import reactions
+from tests.conformance.own_parts import blend, stiffening
 
 compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled here")
 
 
-@pytest.fixture(scope="module")
-def stiffening() -> PlainLaw:
-    @law(parameters={"quadratic": Parameter(default=1e5, minimum=0.0, maximum=1e6, unit="N·m/rad²")})
-    def stiffening(penetration: float, velocity: float, p: Parameters) -> float:
-        """A wall that grows harder with depth."""
-        return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
-
-    return stiffening
-
-
-@pytest.fixture(scope="module")
-def blend() -> Estimator:
-    weight = Parameter(default=0.5, minimum=0.0, maximum=1.0)
-
-    @estimator(parameters={"weight": weight}, memory=("slope",), name="mine", source="a paper")
-    def blend(travel: float, elapsed_s: float, memory: Memory, p: Parameters) -> float:
-        """Return the weighted sum of the last two slopes."""
-        before, memory.slope = memory.slope, travel / elapsed_s
-        return p.weight * before + (1.0 - p.weight) * memory.slope
-
-    assert (blend.name, blend.source) == ("mine", "a paper")
-    return blend
-
-
-def test_a_law_knows_its_parameters_by_name_and_acts_inside_the_wall_alone(stiffening: PlainLaw) -> None:
+def test_a_law_knows_its_parameters_by_name_and_acts_inside_the_wall_alone() -> None:
     depth, speed = np.array([-0.01, 0.0, 0.01]), np.array([1.0, 1.0, -0.2])
-    found = reactions(stiffening, depth, speed, stiffness=100.0, damping=0.5)
+    found = reactions(stiffening(), depth, speed, stiffness=100.0, damping=0.5)
     assert found == pytest.approx([0.0, 0.0, 100.0 * 0.01 + 1e5 * 1e-4 - 0.1])
-    assert (stiffening.name, stiffening.summary) == ("stiffening", "A wall that grows harder with depth.")
+    assert (stiffening().name, stiffening().summary) == ("stiffening", "A wall that grows harder with depth.")
 
 
-def test_other_parameters_make_another_law_and_leave_this_one_alone(stiffening: PlainLaw) -> None:
-    softer = stiffening.with_parameters(quadratic=0.0)
+def test_other_parameters_make_another_law_and_leave_this_one_alone() -> None:
+    softer = stiffening().with_parameters(quadratic=0.0)
     assert reactions(softer, [0.01], stiffness=100.0).tolist() == pytest.approx([1.0])
-    assert reactions(stiffening, [0.01], stiffness=100.0).tolist() == pytest.approx([11.0])
+    assert reactions(stiffening(), [0.01], stiffness=100.0).tolist() == pytest.approx([11.0])
     with pytest.raises(ConfigError, match=r"unknown parameter 'quadratc'; did you mean quadratic\?"):
-        stiffening.with_parameters(quadratc=0.0)
+        stiffening().with_parameters(quadratc=0.0)
     with pytest.raises(
         ConfigError, match=r"quadratic = -1 is out of range; give a number from 0 to 1e\+06 N·m/rad²"
     ):
-        stiffening.with_parameters(quadratic=-1)
+        stiffening().with_parameters(quadratic=-1)
     with pytest.raises(ConfigError, match=r"quadratic = nan"):
-        stiffening.with_parameters(quadratic=math.nan)
+        stiffening().with_parameters(quadratic=math.nan)
 
 
 def test_memory_lasts_and_time_is_in_seconds() -> None:
@@ -82,18 +57,19 @@ def test_memory_lasts_and_time_is_in_seconds() -> None:
     assert lost == pytest.approx(0.5 * found[-1]), "ten ticks at once: 10/(10 + 10)"
 
 
-def test_an_estimator_is_given_travel_whatever_encoder_and_link_do(blend: Estimator) -> None:
-    made = blend.prepare({"weight": 0.0}, -1e-3, 0.5)
+def test_an_estimator_is_given_travel_whatever_encoder_and_link_do() -> None:
+    assert (blend().name, blend().source) == ("mine", "a paper")
+    made = blend().prepare({"weight": 0.0}, -1e-3, 0.5)
     counts, elapsed = [2**31 - 2, -(2**31), -(2**31) + 4], [1, 1, 2]
     assert velocities(made, counts, elapsed).tolist() == [0.0, pytest.approx(-4e-3), pytest.approx(-4e-3)]
     assert made.state_i[0] == 2, "the row shows how many periods the estimate spans"
 
 
-def test_an_estimators_settings_are_those_of_an_experiment(blend: Estimator) -> None:
-    slopes = velocities(blend.prepare({"weight": 0.25}, 1.0, 1.0), [0, 4, 4])
+def test_an_estimators_settings_are_those_of_an_experiment() -> None:
+    slopes = velocities(blend().prepare({"weight": 0.25}, 1.0, 1.0), [0, 4, 4])
     assert slopes.tolist() == [0.0, 3.0, 1.0]
     with pytest.raises(ConfigError, match="weight = 2 is out of range"):
-        blend.prepare({"weight": 2.0}, 1.0, 1.0)
+        blend().prepare({"weight": 2.0}, 1.0, 1.0)
 
 
 def helper(x: float) -> float:

@@ -66,7 +66,7 @@ def push_without_stop(host: FramedDevice, way: Any, seconds: float) -> None:
     host.supervise(seconds, round(1e6 * LIFETIME_S))
 
 
-@pytest.mark.parametrize(("way", "drive"), first_by_default(product((1, -1), (1.0, -1.0, 2.0))))
+@pytest.mark.parametrize(("drive", "way"), first_by_default(product((1.0, -1.0, 2.0), (1, -1)), 2))
 def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive: float) -> None:
     """After a sample beyond the allowed travel the effort is zero, even if the host continues or leads are swapped."""
     host, device = board()

@@ -20,42 +20,16 @@ from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest
 from rig.experiments.hits.hit import hit as run
 from rig.experiments.trials.plan import delay_checks
+from tests.conformance.own_parts import blend, stiffening
 
 SHORT: dict[str, Any] = {"duration_s": 0.25, "changes": {"verdict.tail_s": 0.1}}
 
 
 @pytest.fixture(scope="module")
-def stiffening() -> rig.Law:
-    """Define a law in this program, compiled at its definition."""
-
-    @rig.law(parameters={"quadratic": 1e4})
-    def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
-        """A wall that grows harder with depth."""
-        return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
-
-    return stiffening
-
-
-@pytest.fixture(scope="module")
-def smoothed() -> rig.Estimator:
-    """Define an estimator in this program."""
-
-    @rig.estimator(memory=("velocity",))
-    def smoothed(travel: float, elapsed_s: float, memory: rig.Memory) -> float:
-        """Return the smoothed slope of the travel."""
-        memory.velocity += 0.2 * (travel / elapsed_s - memory.velocity)
-        return memory.velocity
-
-    return smoothed
-
-
-@pytest.fixture(scope="module")
-def own(
-    tmp_path_factory: pytest.TempPathFactory, stiffening: rig.Law, smoothed: rig.Estimator
-) -> rig.HitResult:
+def own(tmp_path_factory: pytest.TempPathFactory) -> rig.HitResult:
     place = tmp_path_factory.mktemp("own")
-    law = stiffening.with_parameters(quadratic=2e4)
-    return rig.hit("koul-compliant", law=law, estimator=smoothed, stiffness=100.0, output=place, **SHORT)
+    law = stiffening().with_parameters(quadratic=2e4)
+    return rig.hit("koul-compliant", law=law, estimator=blend(), stiffness=100.0, output=place, **SHORT)
 
 
 def test_a_preset_a_file_and_an_experiment_give_the_same_hit(tmp_path: Path) -> None:
@@ -110,40 +84,34 @@ def test_a_law_and_an_estimator_of_a_lab_run_and_are_recorded(own: rig.HitResult
     expected = 100.0 * rows["penetration"] + 2e4 * rows["penetration"] ** 2 + 0.5 * rows["velocity"]
     assert rows["effort_wall"] == pytest.approx(expected, rel=1e-12)
     header = own.recording.header["initial_state"]
-    assert (header["law"]["name"], header["estimator"]["name"]) == ("stiffening", "smoothed")
+    assert (header["law"]["name"], header["estimator"]["name"]) == ("stiffening", "mine")
     assert header["law"]["parameters"] == [100.0, 0.5, 1 / 20_000, 2e4]
 
 
-def test_a_hit_of_a_labs_law_replays_to_the_last_bit_with_its_recorded_parameters(
-    own: rig.HitResult, stiffening: rig.Law, smoothed: rig.Estimator
-) -> None:
+def test_a_hit_of_a_labs_law_replays_to_the_last_bit_with_its_recorded_parameters(own: rig.HitResult) -> None:
     for recording in (own.recording, own.path, str(own.path)):
-        assert rig.replay(recording, law=stiffening, estimator=smoothed).exact
-    other = rig.replay(own.path, law=stiffening, estimator="fdm")
+        assert rig.replay(recording, law=stiffening(), estimator=blend()).exact
+    other = rig.replay(own.path, law=stiffening(), estimator="fdm")
     assert (other.exact, other.estimator, other.law) == (False, "fdm", "stiffening")
-    softer = rig.replay(own.path, law=stiffening, estimator=smoothed, stiffness=50.0)
+    softer = rig.replay(own.path, law=stiffening(), estimator=blend(), stiffness=50.0)
     assert 0.0 < softer.effort_difference < np.inf
-    walled = rig.replay(own.path, law="spring-damper", estimator=smoothed)
+    walled = rig.replay(own.path, law="spring-damper", estimator=blend())
     assert (walled.law, walled.velocity_difference) == ("spring-damper", 0.0)
-    with pytest.raises(ConfigError, match=r"unknown estimator 'smoothed'"):
-        rig.replay(own.path, law=stiffening)
+    with pytest.raises(ConfigError, match=r"unknown estimator 'mine'"):
+        rig.replay(own.path, law=stiffening())
     with pytest.raises(RecordingError, match=r"nowhere.parquet"):
         rig.replay("nowhere.parquet")
 
 
-def test_a_labs_law_is_known_by_its_name_only_while_it_runs(
-    own: rig.HitResult, stiffening: rig.Law, smoothed: rig.Estimator
-) -> None:
-    with pytest.raises(ConfigError, match=r'controller.estimator = "smoothed"'):
-        rig.plan("koul-compliant", estimator="smoothed")
-    planned = rig.plan("koul-compliant", estimator=smoothed, law=stiffening)
+def test_a_labs_law_is_known_by_its_name_only_while_it_runs(own: rig.HitResult) -> None:
+    with pytest.raises(ConfigError, match=r'controller.estimator = "mine"'):
+        rig.plan("koul-compliant", estimator="mine")
+    planned = rig.plan("koul-compliant", estimator=blend(), law=stiffening())
     assert planned.ok
-    assert "by smoothed" in repr(planned)
+    assert "by mine" in repr(planned)
 
 
-def test_a_labs_law_runs_in_every_thread_of_a_map(
-    monkeypatch: pytest.MonkeyPatch, stiffening: rig.Law, smoothed: rig.Estimator
-) -> None:
+def test_a_labs_law_runs_in_every_thread_of_a_map(monkeypatch: pytest.MonkeyPatch) -> None:
     threads: set[int] = set()
     get = plugins.load
 
@@ -153,7 +121,7 @@ def test_a_labs_law_runs_in_every_thread_of_a_map(
 
     monkeypatch.setattr(plugins, "load", spied)
     found = rig.zwidth(
-        "koul-compliant", ["dual:20k/2k"], law=stiffening, estimator=smoothed, dampings=[0.0, 0.5],
+        "koul-compliant", ["dual:20k/2k"], law=stiffening(), estimator=blend(), dampings=[0.0, 0.02],
         lowest=100.0, highest=120.0, search="bisection", ratio=1.1, offsets=[0.1], workers=2,
     )  # fmt: skip
     assert threading.get_ident() not in threads or len(threads) > 1
@@ -163,21 +131,19 @@ def test_a_labs_law_runs_in_every_thread_of_a_map(
     assert found.curve(0, "any")[1].stiffness >= found.curve(0, "any")[0].stiffness
 
 
-def test_a_law_defined_in_this_program_goes_to_no_other_and_into_no_directory(
-    tmp_path: Path, stiffening: rig.Law, smoothed: rig.Estimator
-) -> None:
+def test_a_law_defined_in_this_program_goes_to_no_other_and_into_no_directory(tmp_path: Path) -> None:
     """A map that resumes or runs elsewhere finds a law by its name, and could find a different one."""
-    with pytest.raises(ConfigError, match=r"smoothed is defined in this program only.*\"rig.estimators\""):
-        rig.zwidth("koul-compliant", estimator=smoothed, directory=tmp_path)
+    with pytest.raises(ConfigError, match=r"mine is defined in this program only.*\"rig.estimators\""):
+        rig.zwidth("koul-compliant", estimator=blend(), directory=tmp_path)
     with pytest.raises(ConfigError, match=r"stiffening is defined in this program only.*\"rig.laws\""):
-        rig.zwidth("koul-compliant", law=stiffening, scheduler="tcp://127.0.0.1:1")
+        rig.zwidth("koul-compliant", law=stiffening(), scheduler="tcp://127.0.0.1:1")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_law_that_a_package_installs_is_known_by_its_name(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, stiffening: rig.Law
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setitem(sys.modules, "mylab", SimpleNamespace(soft=replace(stiffening, name="soft")))
+    monkeypatch.setitem(sys.modules, "mylab", SimpleNamespace(soft=replace(stiffening(), name="soft")))
     point = EntryPoint("soft", "mylab:soft", "rig.laws")
     monkeypatch.setattr(plugins, "entry_points", lambda group: [point] if group == "rig.laws" else [])
     result = rig.hit("koul-compliant", law="soft", stiffness=200.0, output=tmp_path, **SHORT)
@@ -185,19 +151,17 @@ def test_a_law_that_a_package_installs_is_known_by_its_name(
     assert result.recording.header["initial_state"]["law"]["parameters"][0] == 200.0
 
 
-def test_a_name_in_use_and_a_value_that_is_no_part_are_refused(
-    stiffening: rig.Law, smoothed: rig.Estimator
-) -> None:
+def test_a_name_in_use_and_a_value_that_is_no_part_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"'fdm' is already the name of a built-in"):
-        rig.plan("koul-compliant", estimator=replace(smoothed, name="fdm"))
+        rig.plan("koul-compliant", estimator=replace(blend(), name="fdm"))
     with pytest.raises(ConfigError, match=r"'bilateral' is already the name of a built-in"):
-        rig.hit("koul-compliant", law=replace(stiffening, name="bilateral"))
+        rig.hit("koul-compliant", law=replace(stiffening(), name="bilateral"))
     with pytest.raises(
         ConfigError, match=r"law is of type int; it must be a name.*; give a name, .*@rig.law"
     ):
         rig.hit(law=3)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"estimator is of type PlainLaw; it must be a name"):
-        rig.plan(estimator=stiffening)  # type: ignore[arg-type]
+        rig.plan(estimator=stiffening())  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -143,13 +143,13 @@ def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_ex
     assert_exact(replay(recording))
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def gives_nan(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     return np.nan if state[1] > 15.0 else 0.01 * state[1]
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > parameters[0]:

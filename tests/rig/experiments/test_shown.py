@@ -15,11 +15,7 @@ from rig.core.errors import ConfigError, RecordingError, RigError
 from rig.core.shown import LINES, WIDTH
 from rig.experiments.mapping._ranges import frequency_plan
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap
-
-
-def soft(penetration: float, p: rig.Parameters) -> float:
-    """A spring with an adjustable gain."""
-    return p.gain * p.stiffness * penetration
+from tests.conformance.own_parts import stiffening
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +44,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "thrown out": rig.impedance(walls=[(2e5, 0.0)], excitation={"realisations": 1})[0],
         "estimators": rig.compare_estimators(rig.recording_case(hit.recording), ["fdm", "levant:lipschitz=1"]),
         "tuning": rig.tune_estimator("fdm-butterworth", rig.recording_case(hit.recording), free=["cutoff_hz"]),
-        "law": rig.law(parameters={"gain": 1.0})(soft),
+        "law": stiffening(),
         "estimator": kalman.ESTIMATOR,
         "theory": rig.theory.theory_of("koul-compliant", ["dual:20k/2k", "uniform:1k,estimator=levant"]),
     }  # fmt: skip

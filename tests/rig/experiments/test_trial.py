@@ -140,7 +140,7 @@ def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path: Pa
 # ---------------------------------------------------------------------- ended early
 
 
-@kernel(LAW_SIGNATURE, cache=False)
+@kernel(LAW_SIGNATURE)
 def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     state[1] += 1.0
     if state[1] > 10.0:
