@@ -171,8 +171,10 @@ LAWS = [
 ]
 
 
-@pytest.mark.parametrize(("estimator", "arithmetic"), LAWS)
-@pytest.mark.parametrize("scheme", first_by_default([DUAL, UNIFORM]), ids=["dual", "uniform"])
+@pytest.mark.parametrize(
+    ("scheme", "estimator", "arithmetic"),
+    first_by_default([(scheme, *law) for scheme in (DUAL, UNIFORM) for law in LAWS], 3),
+)
 def test_a_supervised_hit_is_the_hit_of_the_law_alone(
     library: ctypes.CDLL, law: LawLibrary, scheme: dict[str, object], estimator: str, arithmetic: int
 ) -> None:

@@ -86,9 +86,12 @@ def test_cogging_neither_makes_energy_nor_takes_any(
     assert abs(np.mean(at[-10:]) - np.mean(at[:10])) <= 1e-3 * scale
 
 
-@pytest.mark.parametrize("rig", [LINEAR, LOSSLESS], ids=["rigid", "two-mass"])
-@pytest.mark.parametrize("hand", [None, GRIPS["normal"]], ids=["free", "held"])
-@pytest.mark.parametrize("lag_s", [0.0, 2e-4])
+@pytest.mark.parametrize(
+    ("rig", "hand", "lag_s"),
+    [
+        (LINEAR, None, 2e-4), (LINEAR, GRIPS["normal"], 0.0), (LOSSLESS, None, 0.0), (LOSSLESS, GRIPS["normal"], 2e-4),
+    ],
+)  # fmt: skip
 def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
     rig: RigModel, hand: Operator | None, lag_s: float
 ) -> None:

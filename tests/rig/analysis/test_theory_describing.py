@@ -10,8 +10,9 @@ from rig.analysis.theory._describing import limit_cycle, reading
 from rig.core.model import Amplifier, Encoder, Mechanics, RigModel
 
 
-@pytest.mark.parametrize("duty", [0.5, 0.3, 0.05])
-@pytest.mark.parametrize("amplitude", [0.1, 0.4, 0.9, 1.6, 7.3])
+@pytest.mark.parametrize(
+    ("amplitude", "duty"), [(0.1, 0.3), (0.4, 0.05), (0.9, 0.5), (1.6, 0.3), (1.6, 0.05), (7.3, 0.5)]
+)
 def test_the_first_harmonic_of_a_reading_is_that_of_a_rounded_cosine(amplitude: float, duty: float) -> None:
     turn = 2.0 * np.pi * (np.arange(200_000) + 0.5) / 200_000
     wave = np.cos(turn)
@@ -63,7 +64,7 @@ def test_a_relay_round_a_motor_has_the_textbooks_cycle() -> None:
     assert found.alone, "the phase of such a loop falls, and crosses -180 degrees once"
 
 
-@pytest.mark.parametrize("coulomb", [3e-4, 1e-3, 2e-3])
+@pytest.mark.parametrize("coulomb", [3e-4, 2e-3])
 def test_coulomb_friction_shrinks_it_as_the_balance_of_its_first_harmonic_says(coulomb: float) -> None:
     def excess(w: float) -> float:
         driven = BALANCED / (1.0 + (w * LAG) ** 2)

@@ -149,9 +149,8 @@ def test_nothing_is_overwritten_unless_asked(tmp_path: Path) -> None:
     assert write_export(Variant("levant"), tmp_path, overwrite=True).header.read_text() != first.text
 
 
-def test_the_costs_are_counted_or_the_reason_is_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.exhaustive("::test_without_a_compiler_the_reason_stands_in_place_of_the_costs")
+def test_the_costs_of_an_exported_estimator_are_counted(tmp_path: Path) -> None:
     pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
     export = export_estimator(Variant("fdm"), rig_of(), tmp_path / "a.h")
     if not export.costs:
@@ -162,6 +161,11 @@ def test_the_costs_are_counted_or_the_reason_is_given(
     assert float_.instructions <= float_.cycles <= float_.most_cycles
     assert newer.cycles is None
     assert f"M4F {float_.instructions} instructions" in export.text.replace("\n *", "")
+
+
+def test_without_a_compiler_the_reason_stands_in_place_of_the_costs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ARM_NONE_EABI_GCC", str(tmp_path / "none"))
     export = export_estimator(Variant("fdm"), rig_of(), tmp_path / "b.h")
     assert export.costs == ()

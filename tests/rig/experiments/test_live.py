@@ -113,7 +113,7 @@ CHANGES = st.one_of(
 )
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.lists(CHANGES, min_size=1, max_size=4))
 def test_any_sequence_of_changes_ends_where_all_of_them_at_once_would(changes: list[tuple[str, Any]]) -> None:
     ring = Ring.allocate(1, info=info_of())

@@ -121,10 +121,9 @@ def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_cur
         transmission=12.0, handle_length=0.08, handle_mass=0.06, amplifier="escon-50-5-pwm", peak_current=5.0,
     ).experiment  # fmt: skip
     slow = dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), 1000)
-    for offset in (0.3, 0.6):
-        paddle = config.override(sheets, {**slow, "rig.encoder.offset": offset})
-        found = check_rig_moves(FreeRigRequest(experiment=paddle, output=tmp_path))
-        assert found.signs.scale == pytest.approx(1.0, abs=0.25)  # 0.55 and 0.58 by the best fit alone
+    paddle = config.override(sheets, {**slow, "rig.encoder.offset": 0.3})
+    found = check_rig_moves(FreeRigRequest(experiment=paddle, output=tmp_path))
+    assert found.signs.scale == pytest.approx(1.0, abs=0.25)  # 0.55 by the best fit alone
 
 
 def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None:
