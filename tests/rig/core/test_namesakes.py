@@ -69,7 +69,6 @@ import sys, rig
 for name in ("__all__", "_NAMES"):
     delattr(rig, name)
 from rig import cli
-from rig.cli import doctor
 sys.exit(cli.run(sys.argv[1:]))
 """
 
