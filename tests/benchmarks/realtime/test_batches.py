@@ -31,7 +31,7 @@ from tests.benchmarks.realtime.workbench import (
     CURRENT_QUANTUM_A,
     FULL,
     SESSION,
-    DescriptorLink,
+    descriptor_link,
     obtained,
 )
 
@@ -119,7 +119,7 @@ def followed(link: Any, frames: list[bytes], samples: int, rate: int, period_s: 
         player.start()  # before there is a second thread here
         os.set_blocking(ours, False)
         with obtained(Host(), virtual=False) as realtime:
-            thread = SupervisedThread(DescriptorLink(ours), law, settings, memory, realtime=realtime)
+            thread = SupervisedThread(descriptor_link(ours), law, settings, memory, realtime=realtime)
             before = time.process_time()
             thread.start()
             thread.wait()

@@ -45,9 +45,9 @@ from tests.benchmarks.realtime.workbench import (
     FULL,
     PRIORITY,
     SESSION,
-    DescriptorLink,
     command_frame,
     compile_c,
+    descriptor_link,
     inherited,
     may_be_realtime,
     medians,
@@ -106,7 +106,7 @@ def open_socket_pair() -> Iterator[tuple[Wire, int]]:
     ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.settimeout(1.0)
-        port = DescriptorLink(ours.fileno()).port
+        port = descriptor_link(ours.fileno()).port
         yield Wire(ours.fileno(), port, ours.send, ours.recv), theirs.fileno()
 
 

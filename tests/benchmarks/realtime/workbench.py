@@ -26,11 +26,12 @@ from firmware_protocol.packing import pack, type_id_of
 from rig.config import controller, presets
 from rig.config._sections import Host
 from rig.control.step import TRIAL, ControllerState
+from rig.devices.descriptor import DescriptorLink
+from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
 from rig.loop._run import LoopSettings, LoopThread
 from rig.loop._signals import stop_on_signals
 from rig.loop.layout import EndReason
-from rig.realtime import system
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from rig.realtime.ring import Ring
@@ -181,27 +182,8 @@ def loop_settings(rate: int, **changes: Any) -> LoopSettings:
     return LoopSettings(**{**usual, **changes})
 
 
-class DescriptorLink:
-    """An open file descriptor with the interface of a link, which never fails."""
-
-    messages = ()
-    clock = MonotonicClock()
-
-    def __init__(self, descriptor: int) -> None:
-        self.descriptor = descriptor
-
-    def port(self) -> LoopPort:
-        """Return the loop's port, as `rig.devices.device.Link.port` does."""
-        return LoopPort.on(
-            self.clock,
-            read=system.descriptor_read,
-            write=system.descriptor_write,
-            wait=system.descriptor_wait,
-            handle=self.descriptor,
-        )
-
-    def failure(self) -> None:
-        """Implement `rig.devices.device.Link.failure`."""
+def descriptor_link(descriptor: int) -> DescriptorLink:
+    return DescriptorLink(DeviceUrl.of("unix", "/bench"), descriptor)
 
 
 class NearLink:
