@@ -153,7 +153,7 @@ def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
 ) -> None:
     """On heavy, coarse and elastic rigs the band is chosen without a given rate, and intervals contain the truth."""
     x = config.override(presets.load(preset), changes)
-    found = identified(x, tmp_path, realisations=4, rate_hz=min(4000, x.controller.position_rate))
+    found = identified(x, tmp_path, realisations=3, rate_hz=min(4000, x.controller.position_rate))
     inertia, delay, m = found.dynamics.inertia, found.dynamics.delay_s, x.rig.mechanics
     off = abs(inertia.value - m.motor_inertia - m.link_inertia)
     assert off < 1.5 * inertia.ci95, "a 95 % interval may miss a little in one of twenty"
@@ -536,7 +536,7 @@ def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
         return whole(recording, rows[kept])
 
     monkeypatch.setattr(motion_run, "whole", with_losses)
-    found = identified(presets.load(preset), tmp_path, realisations=4, rate_hz=1000)
+    found = identified(presets.load(preset), tmp_path, realisations=3, rate_hz=1000)
     m = found.before.rig.mechanics
     inertia = found.dynamics.inertia
     assert abs(inertia.value - m.motor_inertia - m.link_inertia) < inertia.ci95 + 0.005 * inertia.value
