@@ -34,7 +34,7 @@ from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig, unmeasured
 from tests.conformance.tiers import first_by_default
 
-WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "20"))
+WALKS = int(os.environ.get("HAPTIC_RIG_WALKS", "12"))
 WALK_STEPS = 120
 RATES = [50, 99, 300, 500, 700, 1_000, 1_100, 2_000, 3_000, 7_777, 20_000, 50_000]
 LIFETIMES_US = [0, 1_000, 3_000, 20_000, 2**32 - 1]
@@ -566,7 +566,7 @@ def test_a_command_that_was_longer_under_way_than_its_lifetime_is_not_activated(
     assert pair.c.core.status.current == 0, "STOP is never too old"
 
 
-@pytest.mark.parametrize("seed", first_by_default(range(20), 2))
+@pytest.mark.parametrize("seed", first_by_default(range(12), 2))
 def test_the_motion_is_judged_alike_at_every_threshold(library: ctypes.CDLL, seed: int) -> None:
     # Strokes with and against the effort, rest and reversals, about as long as the windows of the monitors.
     rng = random.Random(seed)

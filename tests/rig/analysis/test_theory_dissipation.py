@@ -122,7 +122,7 @@ def worst_work(k: Any, b: Any, **case: Any) -> Any:
         2,
     ),
 )
-@pytest.mark.parametrize("share", first_by_default([0.9, 0.0, 0.1, 0.5]))
+@pytest.mark.parametrize("share", first_by_default([0.9, 0.0, 0.5]))
 def test_worst_motion_at_the_limit_gets_the_work_that_the_rig_dissipates(
     scheme: str, n: int, lag_s: float, ticks: int, cutoff_hz: float, share: float
 ) -> None:

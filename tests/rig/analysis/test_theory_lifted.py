@@ -133,7 +133,6 @@ CASES = {  # the first three run by default
         {"rates": (20_000, 2_000), "cutoff_hz": 200.0, "observer": (120.0, 8e-4)}, 0.3, 0.5, None,
     ),
     "by hand, dual": (KOUL, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 2.0, 0.6, "firm"),
-    "two masses, dual": (KOUL, "dual:20k/2k", {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 1.0, 0.6, None),
     "two masses, two ticks late": (
         with_delay(KOUL, 2), "dual:20k/2k,cutoff_hz=200",
         {"rates": (20_000, 2_000), "cutoff_hz": 200.0}, 1.0, 0.6, None,
