@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from rig.session.engine._rehearsal import Person
 from tests.conformance.far_end import patient_host
 from tests.system.session_study import PROTOCOL, written
 
+ALL = Path("rehearsals/quick")
 OF_THE_WALL = ("hidden", "0.211", "stiffness", "damping")
 
 
@@ -25,31 +28,34 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    place = tmp_path_factory.mktemp("study")
-    code = rig(
-        ["session", "run", str(written(place)), "P01", "--rehearse", "--study", str(place / "all"), "--json"]
-    )
-    assert code == 0
-    return place
+def rehearsal(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Rehearse a session with practice from its protocol's directory; return this, and what was printed."""
+    place, output = tmp_path_factory.mktemp("study"), StringIO()
+    (place / "quick.toml").write_text(PROTOCOL + "[practice]\nstiffness = [30.0]\n")
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(output), redirect_stderr(output):
+        patch.chdir(place)
+        assert rig(["session", "run", "quick.toml", "P01", "--rehearse"]) == 0
+    return place, output.getvalue()
+
+
+@pytest.fixture
+def study(rehearsal: tuple[Path, str]) -> Path:
+    return rehearsal[0]
 
 
 def test_a_rehearsal_is_complete_in_its_own_directory_and_shows_no_wall(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    rehearsal: tuple[Path, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    path, text = tmp_path / "quick.toml", PROTOCOL + "[practice]\nstiffness = [30.0]\n"
-    path.write_text(text)
-    code, out, err = call(capsys, "run", str(path), "P02", "--rehearse")
-    assert code == 0
-    assert "session of P02: complete" in out
-    assert not any(word in out + err for word in OF_THE_WALL)
-    assert not (tmp_path / "sessions").exists()
-    directory = tmp_path / "rehearsals" / "quick" / "P02"
-    assert (directory / "protocol.toml").read_text() == text
+    place, printed = rehearsal
+    assert "session of P01: complete" in printed
+    assert not any(word in printed for word in OF_THE_WALL)
+    assert not (place / "sessions").exists()
+    directory = place / ALL / "P01"
+    assert (directory / "protocol.toml").read_text() == (place / "quick.toml").read_text()
     found = json.loads(call(capsys, "show", str(directory), "--json")[1])
     assert (found["blocks"], found["blocks_done"]) == (2, 2), "practice is not counted"
-    status, _, err = call(capsys, "run", str(path), "P02", "--study", "rehearsals/quick")
+    again = ("run", str(place / "quick.toml"), "P01", "--study", str(place / ALL))
+    status, _, err = call(capsys, *again)
     assert status == 2
     assert "already contains a rehearsal with a simulated person" in err
 
@@ -74,24 +80,25 @@ def test_a_rehearsal_starts_again_on_request_and_never_replaces_a_persons_sessio
 
 
 def test_show_is_blind_by_default(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    directory = str(study / "all" / "P01")
+    directory = str(study / ALL / "P01")
     _, blind, _ = call(capsys, "show", directory, "--log")
     _, blind_json, _ = call(capsys, "show", directory, "--json")
     assert not any(word in blind + blind_json for word in OF_THE_WALL)
     shown: dict[str, Any] = json.loads(blind_json)
     assert shown["ended"] == "complete"
-    assert shown["counted"] == sum(event["kind"] == "judged" for event in shown["events"])
+    judged = sum(event["kind"] == "judged" for event in shown["events"])
+    assert shown["counted"] == judged - 1, "one is practice"
     _, open_log, _ = call(capsys, "show", directory, "--log", "--unblind")
     assert "hidden-dual" in open_log
 
 
 def test_show_prints_times_or_dates(study: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    _, out, _ = call(capsys, "show", str(study / "all" / "P01"), "--log")
+    _, out, _ = call(capsys, "show", str(study / ALL / "P01"), "--log")
     assert out.count("in the simulation's time") == 1
     assert "    0  00:00:00  began" in out
     real = tmp_path / "P01"
     real.mkdir()
-    content = dict(read(study / "all" / "P01" / LOG)[0].content)
+    content = dict(read(study / ALL / "P01" / LOG)[0].content)
     with SessionLog(real / LOG, clock=iter((1.7e9, 1.7e9 + 1, 1.7e9 + 90_000)).__next__) as log:
         log.append("began", **content)
         log.append("paused", reason="requested by the operator")
@@ -105,7 +112,7 @@ def test_a_damaged_last_line_is_reported_and_set_aside(
     study: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     here = tmp_path / "P01"
-    shutil.copytree(study / "all" / "P01", here)
+    shutil.copytree(study / ALL / "P01", here)
     lines = (here / LOG).read_bytes().splitlines(keepends=True)
     (here / LOG).write_bytes(b"".join(lines[:11]) + lines[11].replace(b'"', b"'", 1))
     status, out, err = call(capsys, "show", str(here), "--log")
@@ -128,7 +135,7 @@ def test_a_damaged_last_line_is_reported_and_set_aside(
 def test_a_refused_code_changes_nothing(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path: path.stat().st_mtime_ns for path in study.rglob("*")}
     status, _, err = call(
-        capsys, "run", str(study / "quick.toml"), "P01", "--rehearse", "--study", str(study / "all")
+        capsys, "run", str(study / "quick.toml"), "P01", "--rehearse", "--study", str(study / ALL)
     )
     assert status == 2
     assert "already contains a rehearsal with a simulated person" in err
@@ -142,11 +149,11 @@ def test_a_session_with_a_person_needs_a_terminal(
     monkeypatch.setattr(pace, "SECONDS", 0.1)
     with patient_host():
         status, _, err = call(
-            capsys, "run", str(study / "quick.toml"), "P09", "--study", str(study / "all"), busy
+            capsys, "run", str(study / "quick.toml"), "P09", "--study", str(study / ALL), busy
         )
     assert status == 2
     assert "terminal" in err
-    assert not (study / "all" / "P09").exists()
+    assert not (study / ALL / "P09").exists()
 
 
 def test_a_wall_beyond_the_limits_is_refused_before_a_file_is_written(

@@ -150,7 +150,6 @@ def test_a_set_point_that_is_late_is_expected_late_at_every_rate(
             (SimulatedDevice, "host", "current"),
             (SimulatedDevice, "host", "voltage"),
         ],
-        2,
     ),
 )
 @pytest.mark.parametrize("name", BROKEN_HARDWARE)
