@@ -3,7 +3,7 @@
 import math
 import os
 import stat
-from collections.abc import Iterable, Iterator
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from rig.devices.device import DeviceUrl
 from rig.devices.local import serve_locally
 from rig.realtime.hand import MAGIC, MOTIONS, SIZE, WISH_END, HandMotion, SharedHand, Wish
 from sim_backend.ends.link import open_link
+from tests.conformance.damaged import each_damaged
 from tests.conformance.rigs import rotary_rig
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
@@ -43,21 +44,11 @@ def test_second_writer_continues_the_numbers_of_the_first(tmp_path: Path) -> Non
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def each_torn(path: Path, places: Iterable[int]) -> Iterator[int]:
-    """Damage one byte of the file after another, and repair it."""
-    whole = path.read_bytes()
-    with path.open("r+b", buffering=0) as file:
-        for place in places:
-            os.pwrite(file.fileno(), bytes([whole[place] ^ 0x55]), place)
-            yield place
-            os.pwrite(file.fileno(), whole[place : place + 1], place)
-
-
 def test_torn_wish_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "hand"
     with SharedHand.create(path) as mover, SharedHand.open(path) as looker:
         mover.move(0.1, 2.0)
-        for _ in each_torn(path, range(len(MAGIC), WISH_END)):
+        for _ in each_damaged(path, range(len(MAGIC), WISH_END), repeat(0x55)):
             assert looker.read() is None
         assert looker.read() == Wish(1, 0.1, 2.0)
 
@@ -127,6 +118,6 @@ def test_a_torn_motion_is_left_out(tmp_path: Path) -> None:
     with SharedHand.create(path) as mover, SharedHand.open(path) as device:
         device.tell(moved(7))
         whole = path.read_bytes()
-        for _ in each_torn(path, [place for place in range(WISH_END, SIZE) if whole[place]]):
+        for _ in each_damaged(path, [place for place in range(WISH_END, SIZE) if whole[place]], repeat(0x55)):
             assert mover.motions() == []
         assert mover.motions() == [moved(7)]

@@ -5,6 +5,7 @@ cache shows only across processes, and nothing here may touch the real cache.
 """
 
 import ast
+import functools
 import json
 import os
 import shutil
@@ -259,6 +260,11 @@ def test_caches_unused_for_a_month_are_removed(tmp_path: Path, monkeypatch: pyte
     assert {path.name for path in root.iterdir()} == {"kernels-recent", "something-else", current.name}
 
 
+@functools.cache
+def unedited_key() -> str:
+    return cache_key(compiled_sources())
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "recompiles"),
     [
@@ -273,7 +279,7 @@ def test_caches_unused_for_a_month_are_removed(tmp_path: Path, monkeypatch: pyte
 def test_key_follows_only_the_sources_of_kernels(
     monkeypatch: pytest.MonkeyPatch, file: str, old: str, new: str, recompiles: bool
 ) -> None:
-    read, before, edited = sources._read_source, cache_key(compiled_sources()), []
+    read, edited = sources._read_source, []
 
     def read_edited(path: str) -> bytes:
         text = read(path)
@@ -283,8 +289,9 @@ def test_key_follows_only_the_sources_of_kernels(
         edited.append(path)
         return text.replace(old.encode(), new.encode(), 1)
 
+    unedited_key()
     monkeypatch.setattr(sources, "_read_source", read_edited)
-    assert (cache_key(compiled_sources()) != before) == recompiles
+    assert (cache_key(compiled_sources()) != unedited_key()) == recompiles
     assert len(edited) == 1
 
 

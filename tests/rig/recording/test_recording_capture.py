@@ -5,6 +5,7 @@ import struct
 import sys
 import zlib
 from io import BytesIO
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from rig.recording._capture import (
 from rig.recording.data import Loss, Recording
 from rig.recording.header import VERSION
 from rig.recording.reader import open_recording
+from tests.conformance.damaged import each_damaged
 from tests.conformance.recording import example_header, example_rows
 
 HEADER = example_header()
@@ -138,28 +140,26 @@ def test_a_block_torn_at_any_byte_loses_that_block_only(path: Path) -> None:
         assert loss == Loss("torn tail", start_of(2), size - start_of(2), 2 * BLOCK_ROWS, known)
 
 
-@pytest.mark.parametrize("place", range(HEAD_BYTES))
-def test_damaged_head_costs_only_its_block(path: Path, place: int) -> None:
+def test_damaged_head_costs_only_its_block(path: Path) -> None:
     """A damaged length is never used, because the head has its own checksum."""
-    rows = example_rows(3 * BLOCK_ROWS)
-    data = bytearray(capture_bytes(rows))
-    data[start_of(1) + place] ^= 0x40
-    found = read_bytes(path, bytes(data))
-    assert found.rows.tobytes() == rows[:4].tobytes() + rows[8:].tobytes()
-    assert found.lost == (Loss("damaged block", start_of(1), BLOCK_BYTES, 4, 4),)
-    assert found.complete
+    rows, start = example_rows(3 * BLOCK_ROWS), start_of(1)
+    path.write_bytes(capture_bytes(rows))
+    for place in each_damaged(path, range(start, start + HEAD_BYTES), repeat(0x40)):
+        found = open_recording(path)
+        assert found.rows.tobytes() == rows[:4].tobytes() + rows[8:].tobytes(), place
+        assert found.lost == (Loss("damaged block", start, BLOCK_BYTES, 4, 4),), place
+        assert found.complete
 
 
-@pytest.mark.parametrize("place", [HEAD_BYTES, HEAD_BYTES + 100, BLOCK_BYTES - 8, BLOCK_BYTES - 1])
-@pytest.mark.parametrize("block", [0, 1, 2])
-def test_a_damaged_row_costs_its_block(path: Path, place: int, block: int) -> None:
-    rows = example_rows(3 * BLOCK_ROWS)
-    data = bytearray(capture_bytes(rows))
-    data[start_of(block) + place] ^= 1
-    found = read_bytes(path, bytes(data))
-    assert found.lost == (Loss("damaged block", start_of(block), BLOCK_BYTES, 4 * block, 4),)
-    assert str(found.lost[0]).startswith(f"damaged block: rows {4 * block} to {4 * block + 3} (")
-    assert len(found) == 8
+def test_a_damaged_row_costs_its_block(path: Path) -> None:
+    path.write_bytes(capture_bytes(example_rows(3 * BLOCK_ROWS)))
+    for block, start in enumerate(map(start_of, range(3))):
+        places = [start + place for place in (HEAD_BYTES, HEAD_BYTES + 100, BLOCK_BYTES - 8, BLOCK_BYTES - 1)]
+        for _ in each_damaged(path, places, repeat(1)):
+            found = open_recording(path)
+            assert found.lost == (Loss("damaged block", start, BLOCK_BYTES, 4 * block, 4),)
+            assert str(found.lost[0]).startswith(f"damaged block: rows {4 * block} to {4 * block + 3} (")
+            assert len(found) == 8
 
 
 def test_damaged_end_differs_from_a_missing_end(path: Path) -> None:
@@ -209,12 +209,12 @@ def test_rows_of_the_wrong_size_are_not_taken(path: Path) -> None:
     assert (len(found), found.lost[0].rows) == (0, 3)
 
 
-@pytest.mark.parametrize("place", [*range(8, 40), -1, -4])
-def test_a_damaged_header_is_an_error(path: Path, place: int) -> None:
-    header = bytearray(pack_header(HEADER))
-    header[place] ^= 0x10
-    with pytest.raises(RecordingError, match=r"header of .* is damaged"):
-        read_bytes(path, bytes(header) + capture_bytes(example_rows(4))[len(header) :])
+def test_a_damaged_header_is_an_error(path: Path) -> None:
+    size = len(pack_header(HEADER))
+    path.write_bytes(capture_bytes(example_rows(4)))
+    for _ in each_damaged(path, [*range(8, 40), size - 4, size - 1], repeat(0x10)):
+        with pytest.raises(RecordingError, match=r"header of .* is damaged"):
+            open_recording(path)
 
 
 @pytest.mark.parametrize("other", [VERSION - 1, VERSION + 1])

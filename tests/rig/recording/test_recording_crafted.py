@@ -10,8 +10,6 @@ from typing import Any
 import pytest
 
 import rig.cli
-from rig import config
-from rig.config import presets
 from rig.core.errors import RecordingError
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
@@ -21,6 +19,7 @@ from rig.recording._shape import DEPTH, misfit, parse_json
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
+from rig.testing import Experiments
 from tests.conformance.tiers import first_by_default
 
 COMMANDS = (
@@ -68,15 +67,7 @@ CRAFTED: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    experiment = config.override(
-        presets.load("koul-compliant"),
-        {
-            "trial.duration_s": 0.05,
-            "trial.release_s": 0.003,
-            "homing.settle_s": 0.003,
-            "verdict.tail_s": 0.01,
-        },
-    )
+    experiment = Experiments("koul-compliant", Path()).short()
     (result,) = hit(HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("good")), admit)
     return open_recording(result.path)
 

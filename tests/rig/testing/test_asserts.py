@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rig
 from rig.control.law import Law
 from rig.core.sample import Phase
 from rig.realtime.kernel import kernel
@@ -44,6 +45,13 @@ def edited(recording: Recording, row: int, **values: float) -> Recording:
     return replace(recording, rows=rows)
 
 
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    place = tmp_path_factory.mktemp("quick")
+    path = rig.hit("koul-compliant", duration_s=QUICK["trial.duration_s"], output=place).path
+    return rig.open_recording(path)
+
+
 def test_a_damped_wall_passes_them_all(rig_hit: Hits) -> None:
     hit = rig_hit("koul-compliant", QUICK)
     assert_stable(hit)
@@ -63,8 +71,7 @@ def test_the_error_of_an_unstable_wall_has_every_number_behind_it(rig_hit: Hits)
     assert message.endswith("hit-1.parquet")
 
 
-def test_a_limit_names_the_first_row_beyond_it_and_the_worst(rig_hit: Hits) -> None:
-    recording = rig_hit("koul-compliant", QUICK).recording
+def test_a_limit_names_the_first_row_beyond_it_and_the_worst(recording: Recording) -> None:
     speed = np.abs(recording.column("velocity"))
     bound = 0.9 * float(speed.max())
     first = int((speed > bound).argmax())
@@ -95,8 +102,7 @@ def test_a_wall_that_gives_energy_is_found_and_one_that_only_takes_is_not(rig_hi
     assert 0.5 * most < given < most, "what surely was given is less than what was, and not by much"
 
 
-def test_an_effort_under_an_old_command_or_behind_a_fault_is_not_safe(rig_hit: Hits) -> None:
-    recording = rig_hit("koul-compliant", QUICK).recording
+def test_an_effort_under_an_old_command_or_behind_a_fault_is_not_safe(recording: Recording) -> None:
     row = int((recording.rows["phase"] == Phase.TRIAL).argmax())
     with pytest.raises(AssertionError, match=r"effort_applied was 0\.15 N·m 30 ms after the newest command"):
         assert_safe(edited(recording, row, command_age=600, effort_applied=0.15), within_ms=20.0)

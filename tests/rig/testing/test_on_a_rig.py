@@ -26,6 +26,7 @@ from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.served import served_rig
+from tests.conformance.tiers import first_by_default
 
 URL = "serial:///dev/ttyRIG"
 TYPED = ("--rig-url", URL, "--rig-verified", "-n0")
@@ -117,12 +118,15 @@ def test_tests_share_one_open_device_and_its_position_zero(
 
 @pytest.mark.parametrize(
     ("ending", "message"),
-    [
-        ("assert False", "assert False"),
-        ("raise KeyboardInterrupt", "! KeyboardInterrupt !"),
-        ("pytest.exit('enough')", "! _pytest.outcomes.Exit: enough !"),
-        ("signal.raise_signal(signal.SIGALRM)", "Timeout (>60.0s)"),  # which says that its time is over
-    ],
+    first_by_default(
+        [
+            ("assert False", "assert False"),
+            ("raise KeyboardInterrupt", "! KeyboardInterrupt !"),
+            ("pytest.exit('enough')", "! _pytest.outcomes.Exit: enough !"),
+            ("signal.raise_signal(signal.SIGALRM)", "Timeout (>60.0s)"),  # which says that its time is over
+        ],
+        2,
+    ),
 )
 def test_however_a_test_ends_the_host_sends_its_rig_stop(
     ending: str, message: str, bench: Bench, pytester: pytest.Pytester
