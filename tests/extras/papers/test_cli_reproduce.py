@@ -26,8 +26,9 @@ SECTIONS = {
 # Still coarser than `--quick`.
 SCALES = {
     "koul": replace(KOUL.quick, ratio=2.0, range_ratio=2.0, idea_ratio=3.0, plants=2, state_bits=(4, 16)),
-    "chawda": replace(CHAWDA.quick, dampings=(0.0, 60.0, 700.0), hit_dampings=(0.0, 100.0, 400.0, 800.0)),
-}
+    "chawda": replace(CHAWDA.quick, dampings=(0.0, 60.0, 700.0), hit_dampings=(0.0, 100.0, 400.0, 800.0),
+                      dual_dampings=(0.0,), coarse=4),
+}  # fmt: skip
 PICTURES = {"koul": 12, "chawda": 11}
 # Facts of the reproductions that no grid is too coarse for (patterns).
 VERDICTS = {
