@@ -62,8 +62,11 @@ def wait_for_console(terminal: Terminal, number: int, *texts: str) -> None:
     terminal.until(printed, f"{texts} of console {number}")
 
 
-def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal) -> None:
+def test_an_escape_waits_for_no_silence_and_closing_gives_the_terminal_of_a_stopped_console_back(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Messages wake the console all the time; the escape key must still time out at its own age."""
+    monkeypatch.setattr("rig.session.terminal._child.END_S", 0.05)
     pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
     with console(terminal) as (desk, _):
         desk.show(DeskView(state="hold"))
@@ -73,6 +76,8 @@ def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal
             assert time.monotonic() < deadline
             desk.show(DeskView(state="hold"))
             pause.wait(0.01)
+        os.kill(desk.pid, signal.SIGSTOP)
+    assert_given_back(terminal)
 
 
 def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> None:
@@ -131,16 +136,6 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
         with pytest.raises(StoppedError, match="failed 2 times") as caught:
             reply.result(PATIENCE_S)
         assert "resume" in caught.value.remedy
-    assert_given_back(terminal)
-
-
-def test_closing_on_a_stopped_console_gives_the_terminal_back(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rig.session.terminal._child.END_S", 0.05)
-    with console(terminal) as (desk, _):
-        terminal.wait("[SPACE] STOP")
-        os.kill(desk.pid, signal.SIGSTOP)
     assert_given_back(terminal)
 
 

@@ -79,7 +79,7 @@ def test_a_session_is_shown_and_answered_by_keys(sit: Sit, asker: ThreadPoolExec
     assert place.rings == 3  # twice for ready, once for the hit
 
 
-def test_a_pedal_and_no_bell(sit: Sit, asker: ThreadPoolExecutor) -> None:
+def test_a_pedal_and_no_bell_and_a_question_ends_with_its_desk(sit: Sit, asker: ThreadPoolExecutor) -> None:
     place = sit(Keys(stable="f5", bell=False))
     reply = asker.submit(place.desk.ask, VERDICT)
     place.sees("[f5] stable")
@@ -90,6 +90,12 @@ def test_a_pedal_and_no_bell(sit: Sit, asker: ThreadPoolExecutor) -> None:
     place.press("enter")
     assert answered(reply) == ("go", "")
     assert place.rings == 0
+    reply = asker.submit(place.desk.ask, replace(VERDICT, text="and now?"))
+    place.sees("and now?")
+    place.leave()
+    with pytest.raises(StoppedError, match=r"was closed|was lost") as caught:
+        reply.result(PATIENCE_S)
+    assert caught.value.remedy
 
 
 def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: ThreadPoolExecutor) -> None:
@@ -122,16 +128,6 @@ def test_a_silent_desk_ends_a_hit(sit: Sit) -> None:
     assert "resume" in error.remedy
 
 
-def test_a_question_ends_with_its_desk(sit: Sit, asker: ThreadPoolExecutor) -> None:
-    place = sit()
-    reply = asker.submit(place.desk.ask, VERDICT)
-    place.sees("the verdict?")
-    place.leave()
-    with pytest.raises(StoppedError, match=r"was closed|was lost") as caught:
-        reply.result(PATIENCE_S)
-    assert caught.value.remedy
-
-
 def wait_for_wish(hand: SharedHand, right: Callable[[Wish], bool]) -> Wish:
     """Wait until the request to the hand fulfils a condition, and return it."""
     found: list[Wish] = []
@@ -153,7 +149,9 @@ def hand(tmp_path: Path) -> Iterator[SharedHand]:
         yield one
 
 
-def test_the_hand_follows(sit: Sit, hand: SharedHand) -> None:
+def test_the_hand_follows_the_keys_but_not_those_in_a_note_and_is_back_before_a_trial(
+    sit: Sit, asker: ThreadPoolExecutor, hand: SharedHand
+) -> None:
     place = sit(hand=("keyboard", hand.path))
     place.desk.show(DeskView(state="hold", scale={"start": 0.1, "wall": 0.5}))
     place.sees("hold", "hand:")
@@ -164,14 +162,6 @@ def test_the_hand_follows(sit: Sit, hand: SharedHand) -> None:
     again = wait_for_wish(hand, lambda one: one.position < 0.1)
     assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
     wait_for_wish(hand, lambda one: one.sequence > again.sequence + 2)  # repeated: else the hand would rest
-
-
-def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_move_it(
-    sit: Sit, asker: ThreadPoolExecutor, hand: SharedHand
-) -> None:
-    place = sit(hand=("keyboard", hand.path))
-    place.desk.show(DeskView(state="hit", scale={"start": 0.1, "wall": 0.5}))
-    place.sees("hit")
     place.press("end")
     wait_for_wish(hand, lambda one: one.press == 4.0)
     reply = asker.submit(place.desk.ask, READY_QUESTION)
