@@ -32,6 +32,7 @@ from tests.conformance.tiers import first_by_default
 from tests.extras.console.console_fakes import Page, ask, frame_of, run, shared
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
+SHORT |= {"controller.position_rate": 10_000, "controller.velocity_rate": 2000}  # fewer rows
 HOSTILE = [
     "../x.parquet", "/etc/passwd", "", ".", "..", "trash", "link.parquet", ".hidden.parquet", "a\0b",
     "x" * 999,
