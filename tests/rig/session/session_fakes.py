@@ -39,8 +39,7 @@ def study(**keys: Any) -> dict[str, Any]:
 
 
 SHORT_SEARCH: Mapping[str, Any] = {  # one trial
-    "rule": "staircase", "lowest": 100.0, "highest": 600.0, "step": 100.0,
-    "settings": {"turns": 2, "most": 1, "steps": [2, 1]},
+    "rule": "psi", "lowest": 100.0, "highest": 600.0, "step": 100.0, "settings": {"hits": 1},
 }  # fmt: skip
 
 

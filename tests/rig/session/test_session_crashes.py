@@ -274,9 +274,9 @@ def test_a_first_participant_survives_a_power_cut_at_any_time(
     calm = decisions(whole)
     assert sum(event.kind == "trial" for event in whole) == 2
     assert cuts[-1][0] == len(whole)
-    for number, (acknowledged, chance, tree) in enumerate(cuts):
-        if acknowledged == 0:
-            continue
+    # Of cuts that leave the same, the last one has the most events to keep.
+    different = {(cut[1], repr(cut[2])): cut for cut in cuts if cut[0] > 0}
+    for number, (acknowledged, chance, tree) in enumerate(different.values()):
         directory = write_tree(tree, tmp_path / str(number)) / DIRECTORY
         check_kept(directory, acknowledged)
         if chance == 0.0 and read(directory / LOG)[-1].kind != "ended":
