@@ -55,9 +55,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Four people, two conditions, three repeats, up-down rule; some hits are invalid, some verdicts unsure."""
     where = tmp_path_factory.mktemp("study")
     people = {code: person(offset, invalid=0.05, unsure=0.03) for code, offset in OFFSETS.items()}
-    write_study(
-        where, protocol(search={"lowest": 300.0, "highest": 600.0, "step": 10.0}), people, recorded=True
-    )
+    write_study(where, protocol(search={"lowest": 300.0, "highest": 600.0, "step": 10.0}), people)
     return where
 
 
@@ -171,7 +169,7 @@ def test_every_trial_is_there_and_says_whether_it_counts(found: Any) -> None:
     for trial in found.trials:
         assert (trial.void == "invalid") == (trial.automatic == "invalid")
         assert (trial.verdict == "") == (trial.void == "invalid")
-        assert trial.recorded == "ok"
+        assert trial.recorded == "none"  # these are logs alone
     counts = found.counts()
     assert counts["recorded"] == counts["counted"] + counts["unsure"] + counts["invalid"]
     assert counts["unsure"] == sum(trial.verdict == "unsure" for trial in found.trials) > 0
