@@ -636,6 +636,11 @@ def test_the_schema_for_editors_knows_presets_ranges_units_and_meanings() -> Non
     assert stiffness["description"] == "K [N·m/rad or N/m]"
     assert schema["$defs"]["Wall"]["additionalProperties"] is False
     assert "required" not in json.dumps(schema)
+
+
+@pytest.mark.exhaustive("::test_the_schema_for_editors_knows_presets_ranges_units_and_meanings")
+def test_the_schema_for_editors_is_valid_and_finds_a_wrong_type() -> None:
+    schema = json_schema()
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.Draft202012Validator.check_schema(schema)
     validator = jsonschema.Draft202012Validator(schema)

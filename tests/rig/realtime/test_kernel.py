@@ -8,6 +8,7 @@ import ast
 import functools
 import json
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -157,6 +158,32 @@ def test_second_process_waits_while_the_first_compiles(project: Project) -> None
     assert other["compiled"] == [True, False]
 
 
+HALF = """
+from rig.realtime.kernel import kernel
+
+@kernel("f8(f8)")
+def half(x):
+    return {factor} * x
+"""
+
+
+def test_a_kernel_is_loaded_for_the_same_source_in_another_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parts.KernelCache, "directory", tmp_path)
+    found = []
+    for place, factor in (("here", 0.5), ("there", 0.5), ("edited", 0.25)):
+        (tmp_path / place).mkdir()
+        path = tmp_path / place / "law_of_a_lab.py"
+        path.write_text(HALF.format(factor=factor))
+        os.utime(path, (1e9, 1e9))
+        half = runpy.run_path(str(path), run_name="law_of_a_lab")["half"]
+        values = half(4.0), sum(half.stats.cache_hits.values()), sum(half.stats.cache_misses.values())
+        found.append(values)
+    assert found == [(2.0, 0, 1), (2.0, 1, 0), (1.0, 0, 1)]
+
+
+@pytest.mark.exhaustive("::test_a_kernel_is_loaded_for_the_same_source_in_another_place")
 def test_same_sources_in_another_place_load_the_cache(
     first: tuple[Project, dict[str, Any]], tmp_path: Path
 ) -> None:

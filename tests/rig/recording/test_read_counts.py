@@ -17,7 +17,7 @@ from rig.recording.counts import WORST_DEVIATION, read_counts
 from rig.recording.origin import counts_facts
 from tests.conformance.tiers import first_by_default
 
-RATE, DELTA, N = 1000, 1e-4, 3000
+RATE, DELTA, N = 1000, 1e-4, 2000
 TIME_S = np.arange(N) / RATE
 TRUE = np.round(900 * np.sin(2 * np.pi * 2 * TIME_S) + 2500 * TIME_S).astype(int)
 LOST = np.flatnonzero(np.random.default_rng(3).random(N) < 0.02)
