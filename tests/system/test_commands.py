@@ -127,7 +127,7 @@ ROWS = (
         ("--url sim:// --offsets 0.1,0.2", 2, "2 encoder offsets"), ("--operator strong", 2, "relaxed"),
     ), "maps/*/hits.parquet"),
     Row("design",
-        "tests/system/test_cli_design.py::test_json_of_a_design_is_read_again", "", "",
+        "tests/system/test_cli_design.py::test_a_design_is_printed_as_json", "", "",
         (("-K 300", 2, "--must-be-stable"), ("--confirm no", 2, "--confirm needs a device"),
         ("--must-be-stable -K -1", 2, "wall.stiffness = -1"), ("--goal best", 2, "'area', 'quiet'"),
         ("--url sim:// --most-rate 10k", 2, "--most-rate is given together with --url"),
@@ -300,7 +300,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "position = -0.3\ntravel = 1.1\n"
     )
     (place / "log.csv").write_text("t,counts\n" + "".join(f"{n / 1000},{n * n // 50}\n" for n in range(200)))
-    (place / "quick.toml").write_text(PROTOCOL.replace("repeats = 2", "repeats = 1"))
+    (place / "quick.toml").write_text(
+        PROTOCOL.replace("repeats = 2", "repeats = 1").replace("most = 3", "most = 1")
+    )
     (place / "directory").mkdir()
     quick = shlex.split(f"hit -q --no-plot {HIT} -o")
     assert rig.cli.run([*quick, str(place / "hits")]) == 0

@@ -71,8 +71,8 @@ def run_trial(
     return device, trial.recording, trial.error
 
 
-SIDES = [(SimulatedDevice, "host"), (FirmwareDevice, "host"), (FirmwareDevice, "device")]
-DEVICES_AND_LOOPS = pytest.mark.parametrize(("device_class", "loop"), SIDES)
+SIDES = [(FirmwareDevice, "host"), (FirmwareDevice, "device"), (SimulatedDevice, "host")]
+DEVICES_AND_LOOPS = pytest.mark.parametrize(("device_class", "loop"), first_by_default(SIDES, 2))
 # Attributes of `Hardware`: `drive` is motor current / commanded current, `gain` is measured current / motor current.
 BROKEN_HARDWARE = {
     "a lead that came off": {"drive": 0.0},

@@ -405,6 +405,9 @@ def test_a_device_that_is_not_safe_does_not_arm(far_end: str, tmp_path: Path) ->
     assert len(bench.device.truth()) == 0
 
 
+@pytest.mark.exhaustive(
+    "tests/system/test_faults_realtime.py::test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest"
+)
 def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(tmp_path: Path) -> None:
     """Killing the device process hangs up the pseudo-terminal, as pulling a USB plug does."""
     long = config.override(SHORT, {"trial.duration_s": 30.0, "verdict.tail_s": 0.4})
