@@ -21,6 +21,7 @@ from rig.config import presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.devices.framed import FramedDevice
+from rig.experiments.hits import admission
 from rig.experiments.hits._on_device import OnDevice, Trials
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
@@ -225,10 +226,24 @@ def test_a_real_board_that_runs_the_law_pushes_before_a_person_is_armed(real: No
     assert len(list(tmp_path.glob("*.parquet"))) == PUSHES + 2
 
 
+@pytest.fixture
+def before_pulse(real: None, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return a context that requires a torque pulse of a real rig, and ends before it moves anything."""
+
+    class Pushed(Exception):  # noqa: N818  (it is no error)
+        pass
+
+    def pushed(*_: Any, **__: Any) -> None:
+        raise Pushed
+
+    monkeypatch.setattr(admission, "pulse", pushed)
+    return pytest.raises(Pushed)
+
+
 def test_the_public_function_asks_the_person_on_standard_error_to_let_go(
-    real: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    before_pulse: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with free_rig() as device:
+    with free_rig() as device, before_pulse:
         rig.hit(PERSON, device=device, verified=True, output=tmp_path)
     assert capsys.readouterr().err == f"rig: {NO_HANDS}\n"
 
@@ -259,10 +274,10 @@ def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed
     assert prompts == [NO_HANDS] * 2
 
 
-def test_a_map_with_a_person_asks_to_let_go_before_its_pulse(real: None, tmp_path: Path) -> None:
+def test_a_map_with_a_person_asks_to_let_go_before_its_pulse(before_pulse: Any, tmp_path: Path) -> None:
     prompts: list[str] = []
     where = OnDevice(url="serial://none", verified=True, recordings=tmp_path, hands_off=prompts.append)
-    with free_rig() as device:
+    with free_rig() as device, before_pulse:
         Trials(where, device, 0).run(PERSON, {})
     assert prompts == [NO_HANDS]
 
