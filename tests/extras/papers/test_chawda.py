@@ -150,7 +150,7 @@ def test_the_main_reading_is_the_default_of_an_impedance_verdict() -> None:
 def _grid(**changes: object) -> ExcitationGrid:
     rig = config.override(
         excited_rig(QUICK),
-        {"excitation.realisations": 4, "excitation.periods": 2, "excitation.settle_periods": 1},
+        {"excitation.realisations": 2, "excitation.periods": 2, "excitation.settle_periods": 1},
         "a test",
     )
     whole = {

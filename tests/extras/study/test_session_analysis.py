@@ -227,8 +227,7 @@ def test_a_scheme_is_named_as_in_a_legend(scheme: str | None, words: str | None,
             ("ascending", {"repeats": 3}),
             ("staircase", {"stable_to_rise": 2}),
             ("grid", {"repeats": 3}),
-        ],
-        2,
+        ]
     ),
 )
 def test_every_rule_finds_the_same_half_way_point(tmp_path: Path, rule: str, settings: Any) -> None:

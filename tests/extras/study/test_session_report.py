@@ -29,6 +29,7 @@ from rig.views.plots import style
 from rig.views.report._writing import interval
 from tests.conformance.pages import ParsedPage
 from tests.conformance.studies import Person, protocol, sitting, without_sync, write_study
+from tests.conformance.tiers import first_by_default
 
 NASTY = "</script><script>alert('K < B & \"C\"')</script> $\\frac$ http://evil"
 CONDITIONS = [
@@ -428,11 +429,13 @@ def test_where_the_mean_over_dampings_is_a_bound_the_summary_has_each_damping(fo
 
 @pytest.mark.parametrize(
     ("people", "sentence"),
-    [
-        (1, "1 of the 2 rows was used (row 0: 1 participant), so the order was not balanced"),
-        (2, "Each row was that of 1 participant, so the order was balanced over them"),
-        (3, "All 2 rows were used, but not equally often (row 0: 2 participants, row 1: 1 participant)"),
-    ],
+    first_by_default(
+        [
+            (2, "Each row was that of 1 participant, so the order was balanced over them"),
+            (1, "1 of the 2 rows was used (row 0: 1 participant), so the order was not balanced"),
+            (3, "All 2 rows were used, but not equally often (row 0: 2 participants, row 1: 1 participant)"),
+        ]
+    ),
 )
 def test_an_order_is_balanced_where_each_row_is_there_equally_often(
     people: int, sentence: str, tmp_path: Path
@@ -443,7 +446,7 @@ def test_an_order_is_balanced_where_each_row_is_there_equally_often(
     assert sentence in texts["Order and blinding"]
 
 
-@pytest.mark.parametrize(("drive", "is_damped"), [("voltage", True), ("current", False)])
+@pytest.mark.parametrize(("drive", "is_damped"), first_by_default([("voltage", True), ("current", False)]))
 def test_the_damping_of_a_voltage_drive_is_reported(drive: str, is_damped: bool, tmp_path: Path) -> None:
     changes = {"rig.amplifier.drive": drive, "operator.press": 2.0}
     write_study(tmp_path, protocol(study={"changes": changes}, search={"step": 200.0}), {"P01": person()})
