@@ -189,26 +189,29 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
     """Return the approximate number of trials of each condition in a session's blocks, practice included."""
     found = dict.fromkeys((condition.name for condition in protocol.condition), 0.0)
     searches = {one.name: protocol.search_of(one) for one in protocol.condition}
-    # Cached by search settings, which most conditions share.
-    likely: dict[str, float] = {}
     for one in (one for block in blocks for one in block.runs):
         if one.practice:
             found[one.condition] += len(protocol.practice.stiffness)
             continue
         wanted = searches[one.condition]
-        key = repr(wanted)
-        if key not in likely:
-            levels = levels_of(wanted)
-            middle = math.sqrt(levels[0] * levels[-1])
-            likely[key] = expected_trials(wanted, ExpectedRange(middle, middle, middle)).count.likely
-        found[one.condition] += likely[key]
+        levels = levels_of(wanted)
+        middle = math.sqrt(levels[0] * levels[-1])
+        found[one.condition] += expected_trials(wanted, ExpectedRange(middle, middle, middle)).count.likely
     return found
 
 
+_simulated: dict[
+    tuple[str, float], tuple[float, float, int]
+] = {}  # by settings of a search, which most share
+
+
 def _simulate_searches(wanted: Search, k50: float) -> tuple[float, float, int]:
-    observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
-    rules = [asking(wanted, seed) for seed in range(OBSERVERS)]
-    answers = [run(rule, observer, seed, MOST_TRIALS) for seed, rule in enumerate(rules)]
-    failures = sum(answer.stable is False for given in answers for answer in given)
-    short = sum(rule.estimate(given).ended_by_most for rule, given in zip(rules, answers, strict=True))
-    return sum(map(len, answers)) / OBSERVERS, failures / OBSERVERS, short
+    key = repr(wanted), k50
+    if key not in _simulated:
+        observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
+        rules = [asking(wanted, seed) for seed in range(OBSERVERS)]
+        answers = [run(rule, observer, seed, MOST_TRIALS) for seed, rule in enumerate(rules)]
+        failures = sum(answer.stable is False for given in answers for answer in given)
+        short = sum(rule.estimate(given).ended_by_most for rule, given in zip(rules, answers, strict=True))
+        _simulated[key] = sum(map(len, answers)) / OBSERVERS, failures / OBSERVERS, short
+    return _simulated[key]
