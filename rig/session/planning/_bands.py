@@ -53,11 +53,7 @@ def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
     if not found or trial.outside == "keep":
         return replace(hit, outside=found)
     return replace(
-        hit,
-        outside=found,
-        automatic=str(Kind.INVALID),
-        reasons=found,
-        passes=dict.fromkeys(hit.passes),
+        hit, outside=found, automatic=str(Kind.INVALID), reasons=found, passes=dict.fromkeys(hit.passes)
     )
 
 

@@ -143,10 +143,7 @@ def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
     if condition.scheme is None:
         return {}
     rates = experiment.controller
-    return {
-        "controller.position_rate": rates.position_rate,
-        "controller.velocity_rate": rates.velocity_rate,
-    }
+    return {"controller.position_rate": rates.position_rate, "controller.velocity_rate": rates.velocity_rate}
 
 
 def base_of(protocol: Protocol, folder: Path) -> Experiment:

@@ -56,8 +56,7 @@ class Study:
         ),
     ] = "both"
     judge: Annotated[
-        Literal["person", "automatic"],
-        Quantity("", "whose verdict the search uses; both are recorded"),
+        Literal["person", "automatic"], Quantity("", "whose verdict the search uses; both are recorded")
     ] = "person"
     criterion: Annotated[
         Literal["any", "felt", "heard"],
@@ -214,8 +213,7 @@ class Trial:
         ),
     ] = None
     impact_speed: Annotated[
-        Band,
-        Quantity("velocity", "required range of speed at first contact, as [0.2, 0.4]; default: any"),
+        Band, Quantity("velocity", "required range of speed at first contact, as [0.2, 0.4]; default: any")
     ] = ()
     press: Annotated[
         Band,

@@ -154,12 +154,7 @@ def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float
         heat *= cools
     pauses = round(pauses * max(1.0, trials / LONG))
     return Heat(
-        load=load,
-        after_one=after_one,
-        peak=peak,
-        first_pause=first_pause,
-        pause_s=pause_s,
-        pauses=pauses,
+        load=load, after_one=after_one, peak=peak, first_pause=first_pause, pause_s=pause_s, pauses=pauses
     )
 
 

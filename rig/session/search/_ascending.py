@@ -93,13 +93,7 @@ class Ascending:
             half = 0.0
         low, high = open_interval(censored, value, max(0.0, value - half), value + half)
         estimate = Estimate(
-            value=value,
-            low=low,
-            high=high,
-            share=math.nan,
-            censored=censored,
-            hits=len(answers),
-            step=step,
+            value=value, low=low, high=high, share=math.nan, censored=censored, hits=len(answers), step=step
         )
         return mark_contradictions(estimate, verdicts_of(answers))
 

@@ -45,11 +45,7 @@ class Child:
     """
 
     def __init__(
-        self,
-        place: int,
-        before: list[Any],
-        setup: Message,
-        inbox: SimpleQueue[tuple[Child, Message]],
+        self, place: int, before: list[Any], setup: Message, inbox: SimpleQueue[tuple[Child, Message]]
     ) -> None:
         self._place, self._before = place, before
         self._inbox = inbox
