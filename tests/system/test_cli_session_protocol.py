@@ -24,7 +24,7 @@ scheme = "dual:20k/2k"
 [search]
 lowest = 200
 highest = 600
-step = 50
+step = 100
 """
 
 

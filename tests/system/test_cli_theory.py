@@ -73,7 +73,7 @@ def test_schemes_that_are_not_linear_are_a_line_beside_those_that_are(run: Any, 
 
 def test_a_delay_is_given_in_ticks_and_for_each_scheme(run: Any) -> None:
     late = ("--no-plot", "--set", "rig.simulation.computation_delay_ticks=2", "--rig", "koul-rigid")
-    code, out, _ = run("theory", "walls", *late)
+    code, out, _ = run("theory", "walls", *late, "--scheme", "uniform:20k")
     assert code == 0
     assert "delay 2 ticks;" in out.splitlines()[0]
     code, out, _ = run("theory", "walls", *late, "--json")

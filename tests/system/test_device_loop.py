@@ -23,6 +23,7 @@ from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from rig.testing import Hits, assert_stable
 from tests.conformance.firmware import need_compiler
+from tests.conformance.tiers import first_by_default
 
 EXAMPLE = Path(__file__).parents[2] / "firmware_protocol/firmware/boards/rp2040/example.toml"
 SHORT = {
@@ -162,7 +163,7 @@ def test_a_device_without_a_law_is_refused_before_anything_moves(run: Any, tmp_p
     assert not list(tmp_path.glob("*.rigcap"))
 
 
-@pytest.mark.parametrize("loop", ["host", "device"])
+@pytest.mark.parametrize("loop", first_by_default(["device", "host"]))
 def test_a_person_waits_for_the_cue_and_holds_alike_on_either_side(loop: str, rig_hit: Hits) -> None:
     held = {
         "trial.kind": "human",
