@@ -34,8 +34,8 @@ from tests.conformance.tiers import first_by_default
 OFFSET_AT = 25 + OFFSET  # in rig_setup
 COLUMNS = ("count", "effort_applied", *(column.name for column in TRUTH_COLUMNS))
 HITS = 8
-# 1000 hits take two minutes of a processor, the first groups 20 s.
-GROUPS, FIRST = 125, 20
+# 1000 hits take two minutes of a processor, the first groups 10 s.
+GROUPS, FIRST = 125, 10
 ENDED = {0: "finished", RowFlag.OUT_OF_WINDOW: "out_of_window", RowFlag.HOMING_FAILED: "homing_failed"}
 
 
