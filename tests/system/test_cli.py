@@ -1,25 +1,27 @@
 """Command-line behaviour that all commands share: output, files, exit codes, signals and error messages."""
 
 import errno
+import io
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import rig.cli
+from rig.realtime import compiling
 from rig.recording.reader import open_recording
 from rig.views.plots import style
-from tests.conformance.started import started
-from tests.conformance.tiers import first_by_default
 
 QUICK = ["--duration", "0.25", "--set", "verdict.tail_s=0.1", "--set", "trial.release_s=0.02"]
 
@@ -70,25 +72,6 @@ def test_a_command_prints_its_numbers_also_without_a_picture(
         assert "rig: no picture: no fonts" in err
     code, out, err = run("show", recording, "-o", tmp_path / "a.png", "--json")
     assert (code, json.loads(out)["error"]["exit_code"], "no fonts" in err) == (9, 9, True)
-
-
-@pytest.mark.exhaustive("::test_output_that_cannot_be_written_or_encoded_has_its_exit_code")
-@pytest.mark.parametrize(
-    "outside",
-    [
-        {"PYTHONUTF8": "0", "LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0"},
-        {"PYTHONIOENCODING": "latin-1"},
-    ],
-)
-def test_redirected_output_is_utf_8_in_any_locale(outside: dict[str, str]) -> None:
-    environment = {
-        name: value for name, value in os.environ.items() if name not in ("LANG", "LC_ALL", "PYTHONUTF8")
-    }
-    command = [sys.executable, "-m", "rig", "experiment", "preset", "koul-compliant"]
-    done = subprocess.run(command, env=environment | outside, capture_output=True, check=True)
-    text = done.stdout.decode("utf-8")
-    assert "N·m" in text
-    assert tomllib.loads(text)["rig"]["name"] == "koul-compliant"
 
 
 def test_the_default_hit_is_the_one_of_the_reference_study(run: Any) -> None:
@@ -180,25 +163,48 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
     assert "recordings" in err
 
 
+@pytest.fixture
+def main(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., int]]:
+    """Return a function that runs a command line as the program does, to its exit, and returns the exit code."""
+    monkeypatch.setattr(compiling, "listen", lambda notice: None)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def call(*words: object) -> int:
+        monkeypatch.setattr(sys, "argv", ["rig", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            rig.cli.main()
+        assert isinstance(ended.value.code, int)
+        return ended.value.code
+
+    yield call
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def kill_as_it_grows(directory: Path) -> None:
+    """Send this process SIGINT once a capture in the directory has a megabyte, and SIGTERM at two."""
+    deadline = time.monotonic() + 100.0
+    for size, number in enumerate((signal.SIGINT, signal.SIGTERM), start=1):
+        while sum(path.stat().st_size for path in directory.glob("*.rigcap")) < size * 1_000_000:
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.01)
+        os.kill(os.getpid(), number)
+
+
 @pytest.mark.signals
-def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recording(tmp_path: Path) -> None:
+def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recording(
+    main: Callable[..., int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """A shell starts `nohup … &` with SIGINT ignored; `test_nothing_is_left` tests SIGINT that is not ignored."""
-    options = ("--duration", "3000", "--no-plot", "--output", tmp_path / "out")
-    command = ("env", "--ignore-signal=INT", sys.executable, "-m", "rig", "hit", *options)
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with started(*command, **pipes) as process:
-        deadline = time.monotonic() + 100.0
-        for size, number in enumerate((signal.SIGINT, signal.SIGTERM), start=1):
-            while sum(path.stat().st_size for path in tmp_path.glob("out/*.rigcap")) < size * 1_000_000:
-                assert process.poll() is None
-                assert time.monotonic() < deadline
-                time.sleep(0.01)
-            process.send_signal(number)
-        _, err = process.communicate(timeout=60.0)
-    assert process.returncode == 130, err
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=kill_as_it_grows, args=(tmp_path,), daemon=True).start()
+    code = main("hit", "--duration", 3000, "--no-plot", "--output", tmp_path)
+    err = capfd.readouterr().err
+    assert code == 130, err
     assert "Traceback" not in err
     assert "stopped" in err
-    (parquet,) = (tmp_path / "out").glob("*.parquet")
+    (parquet,) = tmp_path.glob("*.parquet")
     recording = open_recording(parquet)
     assert recording.complete
     assert recording.trailer["reason"] == "stopped"
@@ -248,55 +254,67 @@ def test_a_grip_brings_its_numbers_and_the_limits_for_people(run: Any) -> None:
 # ---------------------------------------------------------------------- output that cannot be written
 
 
-# Each command in a fork of a process that has loaded what it needs; it ends as ``python -m rig`` does.
-WITHOUT_ROOM = """
-import contextlib, io, json, os, runpy, sys
-import rig.cli
-with contextlib.redirect_stdout(io.StringIO()):
-    rig.cli.run(["experiment", "preset"])
-for words, full, closed in json.loads(sys.argv.pop()):
-    if child := os.fork():
-        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=sys.stderr, flush=True)
-        continue
-    for descriptor in full:
-        os.dup2(os.open("/dev/full", os.O_WRONLY), descriptor)
-    for descriptor in closed:
-        reader, writer = os.pipe()
-        os.close(reader)
-        os.dup2(writer, descriptor)
-    sys.argv += words
-    runpy.run_module("rig", run_name="__main__", alter_sys=True)
-"""
+def test_redirected_output_is_utf_8_in_any_locale(main: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, "latin-1"))
+    assert main("experiment", "preset", "koul-compliant") == 0
+    text = written.getvalue().decode("utf-8")
+    assert "N·m" in text
+    assert tomllib.loads(text)["rig"]["name"] == "koul-compliant"
 
 
-@pytest.mark.parametrize("unbuffered", first_by_default(["", "1"]))
-def test_output_that_cannot_be_written_or_encoded_has_its_exit_code(
-    unbuffered: str, monkeypatch: pytest.MonkeyPatch
+@contextmanager
+def taking_nothing(output: str, descriptor: int) -> Iterator[None]:
+    """Let a descriptor lead to a full disk or to a pipe without a reader."""
+    reader, writer = os.pipe() if output == "a closed pipe" else (os.dup(1), os.open(output, os.O_WRONLY))
+    before = os.dup(descriptor)
+    os.dup2(writer, descriptor)
+    os.close(reader)
+    os.close(writer)
+    yield
+    os.dup2(before, descriptor)
+    os.close(before)
+
+
+@pytest.mark.parametrize(
+    ("name", "output", "stream", "expected"),
+    [
+        ("koul-rigid", "/dev/full", "stdout", 74),
+        ("koul-rigid", "/dev/full", "stderr", 0),
+        ("unknown", "/dev/full", "stdout", 2),
+        ("unknown", "/dev/full", "stderr", 74),
+        ("koul-rigid", "a closed pipe", "stdout", 0),  # a reader that has gone wants no more
+    ],
+)
+def test_output_that_cannot_be_written_has_its_exit_code(
+    name: str, output: str, stream: str, expected: int, main: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    descriptor = {"stdout": 1, "stderr": 2}[stream]
+    with taking_nothing(output, descriptor), open(descriptor, "w", closefd=False) as full:
+        monkeypatch.setattr(sys, stream, full)
+        assert main("experiment", "preset", name) == expected
+
+
+@pytest.mark.exhaustive("::test_output_that_cannot_be_written_has_its_exit_code")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(("output", "expected"), [("/dev/full", 74), ("a closed pipe", 0)])
+def test_the_interpreter_adds_nothing_when_it_ends(output: str, expected: int, unbuffered: str) -> None:
     """Buffered output counts too: Python flushes it at exit, and a failure there once gave exit code 120."""
-    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
-    monkeypatch.setenv("PYTHONIOENCODING", "utf-8:strict")
-    stdout, stderr = 1, 2
-    good, unknown = ["experiment", "preset"], ["experiment", "preset", "unknown"]
-    cases = [
-        (good, [stdout], [], 74),
-        (good, [stderr], [], 0),
-        (unknown, [stdout], [], 2),
-        (unknown, [stdout, stderr], [], 74),
-        (good, [], [stdout], 0),  # a reader that has gone wants no more
-        (["experiment", "preset", "\udcff.toml", "--json"], [], [], 2),
-    ]
-    words = json.dumps([one[:3] for one in cases])
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_ROOM, words], capture_output=True, text=True, check=True
-    )
-    assert re.findall(r"^\d+$", done.stderr, re.MULTILINE) == [str(code) for *_, code in cases]
-    assert "Traceback" not in done.stderr
+    with taking_nothing(output, 1):
+        done = subprocess.run(
+            [sys.executable, "-m", "rig", "experiment", "preset"],
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered}, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert done.returncode == expected
     assert "Exception ignored" not in done.stderr
-    assert "\\udcff.toml" in done.stderr
-    assert json.loads(done.stdout[done.stdout.index("{") :])["error"]["error"].startswith(
-        "preset \udcff.toml"
-    )
+    assert "Traceback" not in done.stderr
+
+
+def test_a_file_name_that_is_not_utf_8_is_shown(main: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main("experiment", "preset", "--json", "\udcff.toml") == 2
+    out, err = capfd.readouterr()
+    assert "\\udcff.toml" in err
+    assert json.loads(out)["error"]["error"].startswith("preset \udcff.toml")
 
 
 def test_a_pipe_that_breaks_elsewhere_is_an_error(

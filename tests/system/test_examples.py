@@ -22,14 +22,8 @@ PARALLEL = "map_on_all_cores.py"  # starts workers, which import the main progra
 def run(place: Path, *command: str | Path) -> str:
     """Run a command in an empty directory, with `rig` on the path, and return what it prints."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        command,
-        cwd=place,
-        env={**os.environ, "PATH": path, "MPLBACKEND": "Agg"},
-        capture_output=True,
-        check=False,
-        text=True,
-    )
+    around = {**os.environ, "PATH": path, "MPLBACKEND": "Agg"}
+    done = subprocess.run(command, cwd=place, env=around, capture_output=True, check=False, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -83,16 +77,8 @@ def test_the_golden_test_makes_its_recording_and_passes_with_it(
 
 @pytest.mark.exhaustive("tests/firmware_protocol/test_connection.py::test_through_all_states_and_back")
 def test_the_client_in_c_reads_the_identity_of_a_served_rig(rig_serial: SerialRig, tmp_path: Path) -> None:
-    run(
-        tmp_path,
-        os.environ.get("CC", "cc"),
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-o",
-        "client",
-        EXAMPLES / "client.c",
-    )
+    flags = ["-Wall", "-Wextra", "-Werror", "-o", "client"]
+    run(tmp_path, os.environ.get("CC", "cc"), *flags, EXAMPLES / "client.c")
     assert run(tmp_path, tmp_path / "client", rig_serial.path).startswith(
         "protocol 2.1, state 0, dictionary of "
     )
