@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,7 +22,7 @@ from rig.config import presets
 from rig.core.model import RigModel
 from rig.devices.framed import FramedDevice
 from rig.realtime import running
-from rig.testing import SerialRig, serve_rig
+from rig.testing import Experiments, SerialRig, serve_rig
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
@@ -192,7 +193,7 @@ def served() -> Iterator[SerialRig]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rig.testing.served, "serve_locally", in_this_process)
-        with serve_rig(presets.load("koul-compliant")) as one:
+        with serve_rig(Experiments("koul-compliant", Path()).short()) as one:  # the handle is at its start
             yield one
 
 
@@ -214,7 +215,8 @@ def port(served: SerialRig, suite: pytest.Pytester) -> SerialRig:
                 rig.open_device(pytestconfig.getoption("rig_url"))
 
         def test_of_a_hit(rig_hit):
-            hit = rig_hit(None, {"trial.duration_s": 0.1, "verdict.tail_s": 0.05}, may_end=True)
+            short = {"homing.settle_s": 0.01, "trial.duration_s": 0.1, "verdict.tail_s": 0.05}
+            hit = rig_hit(None, short, may_end=True)
             assert_safe(hit, within_ms=1000.0)  # on a busy machine the link may be lost: it is safe all the same
         """
     )
