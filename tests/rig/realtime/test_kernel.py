@@ -417,7 +417,7 @@ assert not heavy, heavy
 from rig.config import presets
 presets.load("koul-compliant")
 import firmware_protocol, rig, rig.control.estimators, rig.control.verdict
-import rig.recording.export, rig.recording.reader, rig.recording.seal
+import rig.recording.export, rig.recording.reader, rig.recording.seal, rig.session.finished
 rig.control.estimators.names()
 heavy = {"numba", "scipy", "pandas", "pyarrow", "matplotlib"} & set(sys.modules)
 assert not heavy, heavy
