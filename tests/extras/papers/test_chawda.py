@@ -1,6 +1,5 @@
 """Reproduction of Chawda et al.: every verdict is reachable, readings agree with the verdict's test, and it repeats."""
 
-import json
 import math
 from itertools import pairwise
 
@@ -160,14 +159,11 @@ def _grid(**changes: object) -> ExcitationGrid:
     return ExcitationGrid(**(whole | changes))  # type: ignore[arg-type]
 
 
-def test_readings_do_not_depend_on_the_number_of_workers() -> None:
+def test_a_wider_band_and_less_tolerance_only_take_walls_away() -> None:
     grid = _grid()
-    one, two = (run_parts({"map": grid.part()}, workers=workers).results["map"] for workers in (1, 2))
-    assert json.dumps(one) == json.dumps(two)
-    found = Readings.of(grid, one)
+    found = Readings.of(grid, run_parts({"map": grid.part()}).results["map"])
     assert found.passive.shape == (2, 120, 2, 2, 3)
     assert not found.passive[..., 2].any()  # 900 kN/m at 1 kHz is far beyond what is stable
-    # A wider band and no tolerance can only take walls away.
     strict = [
         READINGS.index(Reading(low_hz=1.0, high_hz=high, tolerance=0.0)) for high in (100.0, 200.0, 400.0)
     ]
