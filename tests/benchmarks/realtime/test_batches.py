@@ -27,13 +27,7 @@ from rig.config.controller import for_experiment
 from rig.loop._run import LoopSettings
 from rig.loop._supervised import SupervisedThread
 from rig.realtime.ring import Ring
-from tests.benchmarks.realtime.workbench import (
-    CURRENT_QUANTUM_A,
-    FULL,
-    SESSION,
-    descriptor_link,
-    obtained,
-)
+from tests.benchmarks.realtime.workbench import CURRENT_QUANTUM_A, FULL, SESSION, descriptor_link, obtained
 
 SAMPLES = 45  # in a frame
 STATES_A_SECOND = 200

@@ -50,14 +50,8 @@ KOUL_COMMON = {
     "verdict.lowpass_hz": 500.0,
 }
 NUMBERS = {
-    "koul-compliant": {
-        **KOUL_COMMON,
-        "rig.amplifier.lag_s": 1e-4,
-    },
-    "koul-rigid": {
-        **KOUL_COMMON,
-        "rig.amplifier.lag_s": 1.09e-4,
-    },
+    "koul-compliant": {**KOUL_COMMON, "rig.amplifier.lag_s": 1e-4},
+    "koul-rigid": {**KOUL_COMMON, "rig.amplifier.lag_s": 1.09e-4},
     "chawda-linear": {
         "rig.motion": "linear",
         "rig.encoder.quantum": 1e-6,
