@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from tests.conformance.guides import ROOT
-from tests.conformance.tiers import first_by_default
 from tests.system.test_docs import run_line
 from tests.system.test_examples import run
 
@@ -50,8 +49,9 @@ def test_the_assignment_is_marked_as_the_page_shows(tmp_path: Path) -> None:
     assert run(tmp_path, "bash", "-euc", command) == points
 
 
+@pytest.mark.exhaustive("tests/system/test_cli.py::test_the_default_hit_is_the_one_of_the_reference_study")
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("page", first_by_default(PAGES), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_runs_and_the_answers_have_its_numbers(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
