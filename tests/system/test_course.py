@@ -5,6 +5,7 @@ exercise; ``a / b = c`` is calculated.
 """
 
 import re
+import shlex
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -41,12 +42,20 @@ def test_the_sums_of_the_answers_are_right() -> None:
 
 
 @pytest.mark.exhaustive("tests/rig/testing/test_asserts.py::test_a_damped_wall_passes_them_all")
-def test_the_assignment_is_marked_as_the_page_shows(tmp_path: Path) -> None:
+def test_the_assignment_is_marked_as_the_page_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "handed-in").mkdir()
     for name, text in re.findall(r"^```python\n# (\S+)\n(.*?)^```$", INSTRUCTOR, re.MULTILINE | re.DOTALL):
         (tmp_path / name).write_text(text, encoding="utf-8")
     ((command, points),) = re.findall(r"```sh\n(pytest .*?)```\n```text\n(.*?)```", INSTRUCTOR, re.DOTALL)
-    assert run(tmp_path, "bash", "-euc", command) == points
+    marking, counting = command.splitlines()
+    assert marking.endswith(" > marks.txt || true")
+    marks = StringIO()
+    with redirect_stdout(marks):
+        options = shlex.split(marking.partition(" > ")[0])[1:]
+        pytest.main([*options, "-p", "rig.testing.plugin", "-p", "no:cacheprovider"])
+    Path("marks.txt").write_text(marks.getvalue(), encoding="utf-8")
+    assert run(tmp_path, "bash", "-euc", counting) == points
 
 
 @pytest.mark.exhaustive("tests/system/test_cli.py::test_the_default_hit_is_the_one_of_the_reference_study")

@@ -21,7 +21,7 @@ COMMANDS = {
     "zwidth": ("zwidth", "--ratio", "3", "-B", "0.1,0.3", "--offsets", "0.1", "--workers", "1", *SHORT),
     "identify": ("identify", "--rig", "chawda-linear", "--realisations", "2", "--period", "0.25"),
 }
-KILLS = 3
+KILLS = 2
 HEADER_BYTES = 40_000  # a longer capture has rows
 FITTED = ("sampled_at", "applied_at")  # by all exchanges of the clocks, of which a kill leaves fewer
 TIME = re.compile(r"-\d{8}-\d{6}-")
