@@ -123,7 +123,8 @@ def test_damaged_frames_are_found(device: Any) -> None:
     assert "link" in error.message
 
 
-def test_a_hand_on_the_handle_is_seen(device: Any) -> None:
+def test_a_hand_on_the_handle_is_seen(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.firmware._selftest.MOVE_LOOKS", 10)
     request = replace(REQUEST, move=True)
     assert outcome(device, "encoder", request).outcome == Outcome.REFUSED
     device.link.device.hardware.external_effort = 0.5
