@@ -31,7 +31,7 @@ from sim_backend.board.hardware import Hardware
 from sim_backend.ends.link import MemoryLink
 from sim_backend.mechanics.inner import COULOMB, COULOMB_LINK
 from sim_backend.mechanics.plant import PlantArguments
-from tests.conformance.faults import BESIDE, FarEnd, check_fault, faults_of
+from tests.conformance.faults import FarEnd, check_fault, faults_of
 from tests.conformance.host import Host
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.tiers import first_by_default
@@ -175,7 +175,7 @@ FAR_ENDS: dict[str, Callable[[], Simulated]] = {
 
 
 OF_EACH_KIND = {
-    "silence", BESIDE, "STOP", "hold-to-run is released", "a command in the ramp", "the emergency stop is pressed",
+    "silence", "STOP", "hold-to-run is released", "the emergency stop is pressed",
     "an illegal transition of the encoder", "the count jumps", "a short circuit", "a blow",
 }  # fmt: skip
 

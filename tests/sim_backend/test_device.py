@@ -184,7 +184,7 @@ def test_the_sync_outputs_go_low_when_their_command_is_over(end: str) -> None:
 
 
 @given(
-    st.lists(st.tuples(st.integers(0, 0x7F), st.binary(min_size=2, max_size=40)), max_size=20), st.booleans()
+    st.lists(st.tuples(st.integers(0, 0x7F), st.binary(min_size=2, max_size=40)), max_size=10), st.booleans()
 )
 def test_no_well_framed_nonsense_can_make_it_raise_or_move(
     frames: list[tuple[int, bytes]], run: bool

@@ -100,7 +100,7 @@ def take(step: str, number: int, wire: ThroughThePort, host: Host, session: int)
 STEPS = ("command", "command", "wait", "wait", "sleep", "stop", "ask", "push", "press", "again")
 
 
-@settings(max_examples=5)  # a tenth of a second each
+@settings(max_examples=3)  # a tenth of a second each
 @given(st.lists(st.tuples(st.sampled_from(STEPS), st.integers(-400, 400)), max_size=30))
 @example(
     [("command", 300), ("wait", 50), ("stop", 0), ("wait", 100), ("again", 7), ("command", 90), ("wait", 99)]

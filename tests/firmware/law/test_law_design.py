@@ -138,7 +138,7 @@ def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x: Any) -> None:
 
 
 @given(experiments(), st.floats(0.05, 20.0), st.just(0.0) | st.floats(1e-6, 20.0), st.integers(-50, 50))
-@settings(max_examples=20)
+@settings(max_examples=10)
 def test_another_wall_has_the_numbers_of_a_run_that_begins_with_it(
     x: Any, harder: float, damper: float, counts: int
 ) -> None:

@@ -170,15 +170,15 @@ def test_stiction_is_breakaway_well_above_sliding() -> None:
 def servo_strokes() -> Any:
     """Return strokes by a servo, integrated by scipy, with effort and position as a rig records them."""
     strokes, time_s, setpoint = [], 0.0, []
-    for length in (0.4, 0.8):
-        for way in (0.02, -0.02):
+    for length in (0.3, 0.6):
+        for way in (0.015, -0.015):
             strokes.append(Stroke(time_s, time_s + length, way / length))
-            start = -0.01 if way > 0 else 0.01
+            start = -0.5 * way
             setpoint += [
                 (start + way * k / (length * RATE), way / length) for k in range(round(length * RATE))
             ]
             time_s += length
-    state, states, efforts = np.array([-0.01, 0.0]), [], []
+    state, states, efforts = np.array([-0.0075, 0.0]), [], []
     for target, speed in setpoint:
         effort = 2000.0 * (target - counted(state[0])) + 60.0 * (speed - state[1])
         states.append(state)

@@ -47,7 +47,7 @@ def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
 
 
 GRID = sorted(accuracy.grid(), key=lambda case: case[1])
-FAST_CASES = sum(rate_hz <= 2000 for _, rate_hz, _ in GRID)
+FAST_CASES = sum(rate_hz <= 1000 for _, rate_hz, _ in GRID)
 
 
 @pytest.mark.parametrize(("signal", "rate_hz", "resolution"), first_by_default(GRID, FAST_CASES))

@@ -36,8 +36,7 @@ from tests.conformance.gated import REFUSED, SLOW_S, Started, open_as_real
 from tests.conformance.made_links import link as made_link
 from tests.conformance.tiers import first_by_default
 
-RATES = (1000, 20_000)
-LOOPS = ("host", "device")
+RUN_BY = (("host", 1000), ("host", 20_000), ("device", 20_000))
 MOTOR = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
 WALLS = {"calm": (20.0, 0.02), "unstable": (5000.0, 0.1), "deeper than the window": (0.05, 0.0)}
 SLOW_PORT = 92_160.0  # bytes/s, of a serial line at 921600 baud
@@ -124,7 +123,7 @@ def test_doctor_gate_and_hit_agree(
     answers = {}
     with board_behind_link(x, *SERVED[board]) as device:
         assert device.dictionary.simulated is (claims == "simulated")
-        for loop, rate, wall in product(LOOPS, RATES, WALLS):
+        for (loop, rate), wall in product(RUN_BY, WALLS):
             stiffness, damping = WALLS[wall]
             changes = {
                 "controller.loop": loop,

@@ -60,7 +60,7 @@ SCHEMES = tuple(
 )
 ROUNDS = (
     Round(name="first", enter=5, ratio=2.0, columns=3, offsets=(0.1,)),
-    Round(name="second", enter=3, way="ladder", ratio=1.3, columns=3, offsets=(0.1, 0.6)),
+    Round(name="second", enter=3, way="ladder", ratio=1.5, columns=3, offsets=(0.1,)),
 )
 IDENTIFIED = margin.IDENTIFIED
 QUICK = (replace(ROUNDS[0], columns=2, enter=2),)
