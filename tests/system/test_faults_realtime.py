@@ -121,7 +121,7 @@ ENDINGS: dict[str, tuple[dict[str, Any], type[Exception], Fault]] = {
 
 
 @on_both
-@pytest.mark.parametrize("name", first_by_default(ENDINGS, 2))
+@pytest.mark.parametrize("name", first_by_default(ENDINGS))
 def test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest(name: str, bench: Bench) -> None:
     script, error, fault = ENDINGS[name]
     device = bench.start(**script)
