@@ -25,6 +25,7 @@ def test_a_stall_of_the_disk_and_of_python_costs_no_row(shared: bool) -> None:
     assert run.longest_hold_s > 0.3
     if run.worst_late_s < 1.0:  # else the machine stood still, and rows came in a burst
         assert run.dropped == 0
+    if run.worst_late_s < 0.1:
         assert run.fullest > 0.2 * RATE  # the ring did carry the stall
 
 
