@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -167,6 +166,8 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
 def main(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., int]]:
     """Return a function that runs a command line as the program does, to its exit, and returns the exit code."""
     monkeypatch.setattr(compiling, "listen", lambda notice: None)
+    for library in ("OPENBLAS", "MKL"):
+        monkeypatch.setenv(f"{library}_NUM_THREADS", "1")  # as `main` does, which leaves it to the process
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def call(*words: object) -> int:
@@ -181,15 +182,25 @@ def main(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., int]]:
         signal.signal(number, handler)
 
 
-def kill_as_it_grows(directory: Path) -> None:
-    """Send this process SIGINT once a capture in the directory has a megabyte, and SIGTERM at two."""
-    deadline = time.monotonic() + 100.0
-    for size, number in enumerate((signal.SIGINT, signal.SIGTERM), start=1):
-        while sum(path.stat().st_size for path in directory.glob("*.rigcap")) < size * 1_000_000:
-            if time.monotonic() > deadline:
-                break
-            time.sleep(0.01)
-        os.kill(os.getpid(), number)
+@contextmanager
+def killed_as_it_grows(directory: Path) -> Iterator[None]:
+    """Send this process SIGINT once a capture in the directory has a megabyte, and SIGTERM at two; never after it."""
+
+    def watch() -> None:
+        for size, number in enumerate((signal.SIGINT, signal.SIGTERM), start=1):
+            while sum(path.stat().st_size for path in directory.glob("*.rigcap")) < size * 1_000_000:
+                if over.wait(0.01):
+                    return
+            os.kill(os.getpid(), number)
+
+    over = threading.Event()
+    killer = threading.Thread(target=watch)
+    killer.start()
+    try:
+        yield
+    finally:
+        over.set()
+        killer.join()
 
 
 @pytest.mark.signals
@@ -198,8 +209,8 @@ def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recordi
 ) -> None:
     """A shell starts `nohup … &` with SIGINT ignored; `test_nothing_is_left` tests SIGINT that is not ignored."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=kill_as_it_grows, args=(tmp_path,), daemon=True).start()
-    code = main("hit", "--duration", 3000, "--no-plot", "--output", tmp_path)
+    with killed_as_it_grows(tmp_path):
+        code = main("hit", "--duration", 3000, "--no-plot", "--output", tmp_path)
     err = capfd.readouterr().err
     assert code == 130, err
     assert "Traceback" not in err
@@ -271,9 +282,11 @@ def taking_nothing(output: str, descriptor: int) -> Iterator[None]:
     os.dup2(writer, descriptor)
     os.close(reader)
     os.close(writer)
-    yield
-    os.dup2(before, descriptor)
-    os.close(before)
+    try:
+        yield
+    finally:
+        os.dup2(before, descriptor)
+        os.close(before)
 
 
 @pytest.mark.parametrize(
