@@ -38,12 +38,7 @@ def excited_plant(x: Any, model: Any, acquisition_hz: float = 4000.0, ticks: int
 
 @pytest.mark.parametrize(
     ("name", "delay", "cogging"),
-    [
-        ("chawda-linear", 2, {}),
-        ("koul-rigid", 0, {}),
-        ("koul-compliant", 2, {}),
-        ("koul-compliant", 0, COGS),
-    ],
+    [("chawda-linear", 2, {}), ("koul-rigid", 0, {}), ("koul-compliant", 2, {}), ("koul-compliant", 0, COGS)],
 )
 def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int, cogging: Any) -> None:
     """The compiled call equals single steps in every bit, also with cogging and with a delay in ticks of the law."""

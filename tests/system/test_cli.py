@@ -166,8 +166,6 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
 def main(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., int]]:
     """Return a function that runs a command line as the program does, to its exit, and returns the exit code."""
     monkeypatch.setattr(compiling, "listen", lambda notice: None)
-    for library in ("OPENBLAS", "MKL"):
-        monkeypatch.setenv(f"{library}_NUM_THREADS", "1")  # as `main` does, which leaves it to the process
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def call(*words: object) -> int:
@@ -182,25 +180,13 @@ def main(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., int]]:
         signal.signal(number, handler)
 
 
-@contextmanager
-def killed_as_it_grows(directory: Path) -> Iterator[None]:
-    """Send this process SIGINT once a capture in the directory has a megabyte, and SIGTERM at two; never after it."""
-
-    def watch() -> None:
-        for size, number in enumerate((signal.SIGINT, signal.SIGTERM), start=1):
-            while sum(path.stat().st_size for path in directory.glob("*.rigcap")) < size * 1_000_000:
-                if over.wait(0.01):
-                    return
-            os.kill(os.getpid(), number)
-
-    over = threading.Event()
-    killer = threading.Thread(target=watch)
-    killer.start()
-    try:
-        yield
-    finally:
-        over.set()
-        killer.join()
+def kill_as_it_grows(directory: Path, over: threading.Event) -> None:
+    """Send this process SIGINT once a capture in the directory has a megabyte, and SIGTERM at two; nothing after it."""
+    for size, number in enumerate((signal.SIGINT, signal.SIGTERM), start=1):
+        while sum(path.stat().st_size for path in directory.glob("*.rigcap")) < size * 1_000_000:
+            if over.wait(0.01):
+                return
+        os.kill(os.getpid(), number)
 
 
 @pytest.mark.signals
@@ -209,8 +195,12 @@ def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recordi
 ) -> None:
     """A shell starts `nohup … &` with SIGINT ignored; `test_nothing_is_left` tests SIGINT that is not ignored."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with killed_as_it_grows(tmp_path):
+    over = threading.Event()
+    threading.Thread(target=kill_as_it_grows, args=(tmp_path, over)).start()
+    try:
         code = main("hit", "--duration", 3000, "--no-plot", "--output", tmp_path)
+    finally:
+        over.set()
     err = capfd.readouterr().err
     assert code == 130, err
     assert "Traceback" not in err

@@ -81,10 +81,7 @@ def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() 
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        (
-            {"rig.limits.human": False},
-            "human = false, rig.limits.effort = 1.3 (at most 0.286 for people)",
-        ),
+        ({"rig.limits.human": False}, "human = false, rig.limits.effort = 1.3 (at most 0.286 for people)"),
         (
             {"rig.limits.human": False, "rig.limits.effort": 0.28, "operator.press": 1.0},
             "and rig.limits.human = false; a real rig",
