@@ -96,7 +96,7 @@ HOST = {*LINE, "most", "last_most", "dead"}  # used for an agreement, which the 
     st.lists(
         st.tuples(st.integers(-(2**31), 2**31 - 1) | st.integers(-99, 99), currents, currents), min_size=1
     ),
-    st.integers(1, 30),
+    st.integers(1, 15),
 )
 def test_c_and_python_have_the_same_memory(
     rule: Any,

@@ -134,19 +134,20 @@ ELASTIC = {
 }  # fmt: skip
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/analysis/test_identification_fits.py::test_the_band_is_the_lowest_row_of_coherent_lines_and_an_octave_may_lie_in_a_notch"
+)
 @pytest.mark.parametrize(
     ("preset", "changes", "ends"),
-    first_by_default(
-        [
-            ("koul-rigid", {**PADDLE, **ELASTIC, **coarse_encoder(100)}, True),
-            ("hapkit", {}, False),
-            ("koul-rigid", PADDLE, False),
-            ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
-            ("koul-compliant", coarse_encoder(180), True),
-            ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
-            ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
-        ]
-    ),
+    [
+        ("koul-rigid", {**PADDLE, **ELASTIC, **coarse_encoder(100)}, True),
+        ("hapkit", {}, False),
+        ("koul-rigid", PADDLE, False),
+        ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
+        ("koul-compliant", coarse_encoder(180), True),
+        ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
+        ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
+    ],
 )
 def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
     preset: str, changes: Any, ends: bool, tmp_path: Path
