@@ -99,21 +99,6 @@ def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag
         assert after == pytest.approx(mechanics.transmission_damping_ratio, rel=0.15)
 
 
-@pytest.mark.exhaustive(
-    "tests/rig/analysis/test_identification_fits.py::test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag"
-)
-def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
-    changes = {"rig.simulation.computation_delay_ticks": 1, "controller.position_rate": 2000}
-    found = identified(RIGID, tmp_path, period_s=0.25, changes=changes)
-    assert found.dynamics.inertia.value == pytest.approx(3.2e-4, rel=0.01)
-    assert found.sliding.up.value == pytest.approx(0.02, rel=0.02)
-    assert found.sliding.down.value == pytest.approx(0.02, rel=0.02)
-    assert found.sliding.damping.value == pytest.approx(0.003, rel=0.15)
-    assert found.dynamics.delay_s.value == pytest.approx(1.0 / 2000 + 1.09e-4, rel=0.05)
-    assert found.dynamics.delay_ticks == 1
-    assert found.dynamics.mode is None
-
-
 def coarse_encoder(counts: int, **changes: Any) -> dict[str, Any]:
     """Return settings of an encoder with few counts, and a wall and push whose rest it can still resolve."""
     return {
