@@ -171,6 +171,7 @@ def test_a_kernel_is_loaded_for_the_same_source_in_another_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(parts.KernelCache, "directory", tmp_path)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "numbas"))
     found = []
     for place, factor in (("here", 0.5), ("there", 0.5), ("edited", 0.25)):
         (tmp_path / place).mkdir()
@@ -181,6 +182,7 @@ def test_a_kernel_is_loaded_for_the_same_source_in_another_place(
         values = half(4.0), sum(half.stats.cache_hits.values()), sum(half.stats.cache_misses.values())
         found.append(values)
     assert found == [(2.0, 0, 1), (2.0, 1, 0), (1.0, 0, 1)]
+    assert not (tmp_path / "numbas").exists(), "a .numba_config.yaml of the current directory may name it"
 
 
 @pytest.mark.exhaustive("::test_a_kernel_is_loaded_for_the_same_source_in_another_place")
