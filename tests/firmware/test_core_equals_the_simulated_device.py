@@ -353,6 +353,7 @@ def test_the_same_is_counted_in_any_bytes(library: ctypes.CDLL, pieces: list[byt
 @example([(10, b"\1\0\0\0"), (10, b"\1\0\0\0")], False, 0)
 @example([(11, b"\0\1\0\0"), (10, b"\1\0\0\0")], False, 0)
 @example([(18, (30_000).to_bytes(4, "little")), (22, b"\xff" * 4)], True, 0)
+@settings(max_examples=12)
 @given(
     st.lists(st.tuples(st.integers(0, 25), st.binary(min_size=4, max_size=4)), max_size=6),
     st.booleans(),
