@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rig
@@ -114,8 +115,16 @@ def test_an_estimator_that_diverges_is_refused_without_a_change_that_cannot_help
 
 
 def test_no_cutoff_is_named_where_none_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(velocity_reading, "highest_reading", lambda experiment: math.inf)
+    """The velocity of an estimator that diverges is infinite, and then not a number."""
+    for name in ("_peak", "_pulse"):  # without their caches
+        monkeypatch.setattr(velocity_reading, name, getattr(velocity_reading, name).__wrapped__)
+    diverging = np.array([0.0, -math.inf, math.nan])
+    monkeypatch.setattr(velocity_reading, "_estimate", lambda *_: np.append(np.zeros(5000), diverging))
     assert velocity_reading.quiet_cutoff(KOUL, 20.0) is None
+    found = {one.name: one for one in make_plan(KOUL).checks}
+    for name in ("impact velocity", "speed reading"):
+        assert (found[name].outcome, found[name].changes) == (Outcome.REFUSED, {})
+        assert "as up to inf rad/s" in found[name].text
 
 
 def test_amplifier_steps_that_the_current_quantum_does_not_allow_are_named() -> None:
