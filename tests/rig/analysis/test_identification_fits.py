@@ -370,6 +370,15 @@ def test_a_known_damping_is_kept(damped: Any) -> None:
     assert found.inertia.value == pytest.approx(MASS, rel=0.005)
 
 
+def test_lines_beyond_the_band_of_a_coarse_encoder_do_not_enter_the_fit(damped: Any) -> None:
+    count = 3e-4
+    coarse = [replace(run, position=count * np.rint(run.position / count)) for run in damped]
+    found = fit_dynamics(coarse, resolution=count, inertia=MASS)
+    assert found.lines_hz[-1] == found.band.high_hz < damped[0].lines_hz[-1]
+    assert found.band.above
+    assert abs(found.inertia.value - MASS) < found.inertia.ci95 < 0.01 * MASS
+
+
 def test_two_masses_show_their_mode_and_how_the_inertia_splits() -> None:
     motor, link, stiffness, damper = 0.1, 0.4, 8000.0, 1.5
 

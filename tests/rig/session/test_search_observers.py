@@ -9,7 +9,6 @@ import pytest
 from rig.session import search
 from rig.session.search._observer import Observer, study
 from tests.benchmarks import observers
-from tests.conformance.tiers import first_by_default
 
 TABLE = observers.read_table()
 ROWS = {(row["rule"], row["lapse_rate"], row["spread"]): row for row in TABLE["rows"]}
@@ -34,7 +33,7 @@ def test_the_guide_shows_the_committed_table_in_sections_that_exist_once() -> No
     assert observers.main(["--check"]) == 0, f"run {observers.REGENERATE} --guide"
 
 
-@pytest.mark.parametrize("rule", first_by_default(observers.RULES, 3))
+@pytest.mark.parametrize("rule", observers.RULES)
 def test_a_few_sessions_again_agree_with_the_table(rule: Any) -> None:
     """Agreement within the scatter of so few sessions shows that the table belongs to the current code."""
     row, now = ROWS[rule, 0.02, 15.0], simulate_again((rule, 0.02, 15.0))
