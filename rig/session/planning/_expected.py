@@ -200,9 +200,8 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
     return found
 
 
-_simulated: dict[
-    tuple[str, float], tuple[float, float, int]
-] = {}  # by settings of a search, which most share
+# By the settings of a search, which most conditions share, and K50.
+_simulated: dict[tuple[str, float], tuple[float, float, int]] = {}
 
 
 def _simulate_searches(wanted: Search, k50: float) -> tuple[float, float, int]:

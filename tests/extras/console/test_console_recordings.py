@@ -215,9 +215,8 @@ def test_a_picture_is_given_or_drawn_where_it_is_asked_for(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(style, "DPI", 10)
-    monkeypatch.setattr(
-        "matplotlib.figure.Figure.get_layout_engine", lambda _: None
-    )  # it draws all once more
+    # The layout engine would draw everything once more.
+    monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
     assert fetch(output, "/recordings/one.parquet/picture").body == b"a picture"
     (output / "one.png").unlink()
     with pytest.raises(ConfigError, match="no picture"):

@@ -321,9 +321,8 @@ def test_pictures_are_drawn_with_units_in_their_labels(
     found: Any, alone: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(style, "DPI", 30)
-    monkeypatch.setattr(
-        "matplotlib.figure.Figure.get_layout_engine", lambda _: None
-    )  # it draws all once more
+    # The layout engine would draw everything once more.
+    monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
     drawn = draw_study(alone, tmp_path, ("png",))
     expected = {"zwidth", "psychometric", "agreement", "effects"}
     assert {path.stem for path in drawn.values()} == set(pictures(alone)) == {*expected, tracks_name("P01")}

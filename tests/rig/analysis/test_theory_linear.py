@@ -179,9 +179,7 @@ def gated(travel: float, elapsed_s: float, effort: float) -> float:
     return travel / elapsed_s + (50.0 * effort if abs(effort) < 10.0 else 0.0)
 
 
-def test_use_of_the_effort_is_decided_by_the_response_and_not_by_the_argument(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_response_decides_whether_the_effort_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """A bug called a linear estimator with an unused argument not linear."""
     known = {one.__name__: rig.estimator()(one) for one in (idle, gated)}
     monkeypatch.setattr(estimators, "get", known.__getitem__)

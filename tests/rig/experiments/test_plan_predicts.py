@@ -97,9 +97,7 @@ def test_a_reading_beyond_the_speed_limit_is_refused_with_a_cutoff(lines: int, n
     assert reaches(again, 0) == (True, "")
 
 
-def test_an_estimator_that_diverges_is_refused_without_a_change_that_cannot_help(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_estimator_that_diverges_is_refused_without_a_change(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its velocity is infinite, then not a number. The remedy was `trial.effort = nan and wall.stiffness = nan`."""
     for name in ("_peak", "_pulse"):  # without their caches
         monkeypatch.setattr(velocity_reading, name, getattr(velocity_reading, name).__wrapped__)

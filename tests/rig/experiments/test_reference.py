@@ -63,9 +63,7 @@ def pushed_before(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def known(device: FramedDevice, x: Experiment, **options: Any) -> Pulse:
         loop = x.controller.loop
-        if loop not in PULSES:
-            PULSES[loop] = first(device, x, **options)
-        return PULSES[loop]
+        return PULSES.get(loop) or PULSES.setdefault(loop, first(device, x, **options))
 
     monkeypatch.setattr(searching, "pulse", known)
 

@@ -53,9 +53,7 @@ def test_events_are_read_back_in_order_and_with_their_time(tmp_path: Path) -> No
     assert {event.at for event in read(path)} == {12.5}
 
 
-def test_a_log_torn_at_any_byte_is_continued_without_a_trace_and_its_lost_bytes_counted(
-    tmp_path: Path,
-) -> None:
+def test_a_log_torn_at_any_byte_is_continued_without_a_trace_and_counts_it(tmp_path: Path) -> None:
     """However much of the last line reached the disk, the event is there completely or not at all."""
     whole = write_log(tmp_path / "whole").read_bytes()
     start = whole.rindex(b"\n", 0, -1) + 1
