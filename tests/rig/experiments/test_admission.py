@@ -40,10 +40,11 @@ RUN_BY = (("host", 1000), ("host", 20_000), ("device", 20_000))
 MOTOR = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
 WALLS = {"calm": (20.0, 0.02), "unstable": (5000.0, 0.1), "deeper than the window": (0.05, 0.0)}
 SLOW_PORT = 92_160.0  # bytes/s, of a serial line at 921600 baud
+FIRMWARE = "rig serve rig --firmware"
 SERVED = {  # `rig serve rig`, with and without --firmware, over a fast and a slow port; and without a compiler
     "rig serve rig": (None, POSITION_RATE_MAXIMUM, None),
     "rig serve rig, slow port": (None, POSITION_RATE_MAXIMUM, SLOW_PORT),
-    "rig serve rig --firmware": (True, FIRMWARE_RATE_MAXIMUM, None),
+    FIRMWARE: (True, FIRMWARE_RATE_MAXIMUM, None),
     "rig serve rig --firmware, slow port": (True, FIRMWARE_RATE_MAXIMUM, SLOW_PORT),
     "without a compiler": (False, POSITION_RATE_MAXIMUM, None),
 }
@@ -112,7 +113,8 @@ def by_hit(x: config.Experiment, changes: dict[str, Any], device: FramedDevice, 
 
 
 @pytest.mark.parametrize(
-    ("board", "claims"), first_by_default(zip(SERVED, cycle(("simulated", "real")), strict=False))
+    ("board", "claims"),
+    first_by_default([(FIRMWARE, "simulated"), *zip(SERVED, cycle(("real", "simulated")), strict=False)]),
 )
 def test_doctor_gate_and_hit_agree(
     board: str, claims: str, fake_link: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -140,9 +142,8 @@ def test_doctor_gate_and_hit_agree(
                 by_gate(x, changes, device),
                 by_hit(x, changes, device, tmp_path),
             )
-    differing = {case: found for case, found in answers.items() if len(set(found)) > 1}
-    assert not differing
-    if claims == "simulated":
+    assert not {case: found for case, found in answers.items() if len(set(found)) > 1}
+    if claims == "simulated" or board == FIRMWARE:  # of the real ones it alone admits hits
         assert {found[0] for found in answers.values()} == {True, False}, "the cases hold both answers"
 
 
