@@ -1,4 +1,4 @@
-"""Reproduction of Chawda et al.: every verdict is reachable, readings agree with the verdict's test, and it repeats."""
+"""Reproduction of Chawda et al.: every verdict is reachable, and readings agree with the verdict's test."""
 
 import math
 from itertools import pairwise
