@@ -283,8 +283,7 @@ static void note(struct bridge *bridge)
     struct bridge_facts *facts = bridge->facts;
     const struct drive_sample *sample = &bridge->drive.sample;
     const uint64_t us = (bridge->now - bridge->asked_at) / HR_TIME_UNITS_PER_US;
-    const uint64_t bin = us / BRIDGE_BIN_US;
-    facts->round_trips[bin < BRIDGE_BINS ? bin : BRIDGE_BINS - 1u]++;
+    facts->round_trips[us < BRIDGE_BINS ? us : BRIDGE_BINS - 1u]++;
     if ((int64_t)us > facts->longest_us)
         facts->longest_us = (int64_t)us;
     if (facts->replies++ == 0 || (int64_t)sample->temperature > facts->hottest)

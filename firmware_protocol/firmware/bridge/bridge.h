@@ -27,8 +27,7 @@
 #define BRIDGE_NARROWER 16u
 #define BRIDGE_OUTPUT_BYTES 65536u /* to the host, which may be slow */
 #define BRIDGE_BUS_BYTES 4096u   /* to the adapter */
-#define BRIDGE_BINS 512u         /* of the round trips, 10 µs each; the last one has all longer ones */
-#define BRIDGE_BIN_US 10u
+#define BRIDGE_BINS 5120u        /* of the round trips, 1 µs each; the last one has all longer ones */
 
 /* Statistics of the bus, all int64: another process reads them as an array. */
 struct bridge_facts {

@@ -29,7 +29,7 @@ BRIDGE = CLibrary(
 )
 RATE_INITIAL, RATE_MAXIMUM = 1_000, 2_500  # Hz; the highest rate at which a moteus replies
 DRIVES = ("moteus", "odrive")  # enum bridge_drive of bridge.h
-BINS, BIN_US = 512, 10
+BINS = 5120  # of the round trips, 1 µs each
 NO_EXCITATION = {"excitation_lines": (0, 0), "excitation_period": (2, 2)}
 LAW_HERE, LAW_ON_THE_DRIVE = 2, 3  # largest kinds of `law`
 _OUTPUT_BYTES = 65536
@@ -115,7 +115,7 @@ class BridgeFacts(ctypes.Structure):
     ]
 
     def quantile_us(self, share: float) -> float:
-        """Return a quantile of the round-trip time to the drive (µs, rounded up to a bin); 0 without replies.
+        """Return a quantile of the round-trip time to the drive (µs, rounded up); 0 without replies.
 
         `share` is the share of shorter round trips, 0 to 1.
         """
@@ -124,7 +124,7 @@ class BridgeFacts(ctypes.Structure):
         for number, count in enumerate(counted):
             left -= count
             if count and left <= 0:
-                return float(min((number + 1) * BIN_US, max(self.longest_us, 1)))
+                return float(min(number + 1, max(self.longest_us, 1)))
         return 0.0
 
     def as_mapping(self) -> dict[str, float]:

@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.extras.drives.library import BIN_US, Bridge, BridgeFacts
+from rig.extras.drives.library import Bridge, BridgeFacts
 from tests.benchmarks.realtime.workbench import CPUS, FULL, compile_c, print_table, quantiles
 from tests.conformance.bridged import bridged_rig, plain_drive
 
 RATES = (1000, 2500)
 SECONDS = 10.0 if FULL else 1.0
-# About 1 on an Intel Xeon; 1.4 to 1.6 on an AMD EPYC, where these bytes take 20 µs and less (2026-11-30).
+# About 1 on an Intel Xeon. On an AMD EPYC 1.1 to 1.8: these bytes take 21 to 32 µs there, a bridge 10 to 15 µs more.
 MOST_RATIO = 2.0
 TRIES = 5
 QUESTION = "can send 9001 1100" + "1F01" + "130D" + "5050 BF"
@@ -98,8 +98,7 @@ def test_a_bridge_costs_little_more_than_its_bytes(rate: int, tmp_path: Path) ->
         for _ in range(TRIES):
             took, lost = run_client(client, line, rate)
             facts = run_bridge(line, rate)
-            least = facts.quantile_us(0.5) - BIN_US  # the median lies in the bin from here on
-            ratios.append(least / float(np.median(took)))
+            ratios.append(facts.quantile_us(0.5) / float(np.median(took)))
             rows.append(("C client", *(f"{one:.0f}" for one in quantiles(took)), lost, ""))
             ours = [facts.quantile_us(share) for share in (0.5, 0.99, 0.999)]
             rows.append(
