@@ -26,7 +26,7 @@ LIVE_AT = RATE // 20  # in free space: the handle is being taken to its start
 FIXED = {"controller.estimator": "fdm-butterworth-fixed", "controller.parameters.cutoff_hz": 200.0}
 UNIFORM = {"controller.velocity_rate": RATE}
 CASES = {
-    "M0+ code, integers, dual-rate": ("mps2-m0plus", FIXED, 36_000),
+    "M0+ code, integers, dual-rate": ("mps2-m0plus", FIXED, 20_000),
     "M4F, float32, dual-rate": ("mps2-an386", {}, 36_000),
     "M3, integers, uniform": ("mps2-an385", {**FIXED, **UNIFORM}, 10_000),
     "M7, float32, Kalman": (
