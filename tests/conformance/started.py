@@ -40,10 +40,8 @@ def forked(body: Callable[..., None], *arguments: Any) -> Iterator[tuple[BasePro
     ours, theirs = context.Pipe()
     process = context.Process(target=_live, args=(body, theirs, *arguments))
     with ours:
-        with (
-            theirs,
-            warnings.catch_warnings(action="ignore", category=DeprecationWarning),
-        ):  # of other threads
+        # Python 3.12 warns of other threads.
+        with theirs, warnings.catch_warnings(action="ignore", category=DeprecationWarning):
             process.start()
         try:
             yield process, ours
