@@ -15,8 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from select import select
 from typing import Any
@@ -29,7 +27,6 @@ from tests.conformance.started import started
 CASE_S = 300.0  # a case that takes longer hangs
 READY_S = 600.0  # kernels and the core may have to be compiled
 FAILURES_MOST = 50  # of an area
-PROGRESS_S = 10.0
 MINUTE_S = 60.0
 ROOT = Path(__file__).parents[2]
 
@@ -40,22 +37,9 @@ class Worker:
     def __init__(self, area: str, seed: int) -> None:
         self._place = tempfile.TemporaryDirectory(prefix=f"attack-{area}-", ignore_cleanup_errors=True)
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  (as long as the process)
-        command = [
-            *isolation(),
-            sys.executable,
-            "-m",
-            "tests.attack.worker",
-            area,
-            str(seed),
-            self._place.name,
-        ]
-        pipes: dict[str, Any] = {
-            "stdin": subprocess.PIPE,
-            "stdout": subprocess.PIPE,
-            "stderr": self._stderr,
-            "cwd": ROOT,
-        }
-        self._context = started(*command, text=True, bufsize=1, **pipes)
+        program = (sys.executable, "-m", "tests.attack.worker", area, seed, self._place.name)
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._stderr}
+        self._context = started(*isolation(), *program, text=True, bufsize=1, cwd=ROOT, **pipes)
         self._process = self._context.__enter__()
         self._read(READY_S)
 
@@ -82,32 +66,21 @@ class Worker:
         self._place.cleanup()
 
 
-@contextmanager
-def start_worker(area: str, seed: int) -> Iterator[list[Worker]]:
-    """Start a worker; yield it in a list, in which the caller may replace it by a new one."""
-    workers = [Worker(area, seed)]
-    try:
-        yield workers
-    finally:
-        workers[0].close()
-
-
 def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: float) -> None:
     """Run cases of an area until the time is over or no case remains."""
-    with start_worker(area, seed) as workers:
-        begun = printed = time.monotonic()
+    worker, begun = Worker(area, seed), time.monotonic()
+    try:
         for case in cases:
-            answer = workers[0].run(case)
+            answer = worker.run(case)
             report.add(answer)
             report.seconds = time.monotonic() - begun
             if answer.get("gone"):
-                workers[0].close()
-                workers[0] = Worker(area, seed)
-            if time.monotonic() - printed > PROGRESS_S:
-                printed = time.monotonic()
-                print(f"{area}: {report.tries} tries, {len(report.failures)} failures", file=sys.stderr)
+                worker.close()
+                worker = Worker(area, seed)
             if report.seconds >= seconds or len(report.failures) >= FAILURES_MOST:
                 break
+    finally:
+        worker.close()
 
 
 def main() -> int:

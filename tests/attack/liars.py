@@ -16,7 +16,7 @@ from firmware_protocol import dictionary as dictionaries
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input, LimitFlag
-from firmware_protocol.framing import encode_frame
+from firmware_protocol.framing import FrameSplitter, encode_frame
 from firmware_protocol.messages import Message
 from firmware_protocol.packing import HEADER, LAYOUTS
 from firmware_protocol.wire import wire_fields
@@ -33,8 +33,6 @@ from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.safety import IDLE_LIFETIME_S
 from sim_backend.ends.link import MemoryLink
 from tests.attack.area import Outcome, require
-from tests.attack.frames import any_value
-from tests.attack.protocol import raw_frames
 
 EXPERIMENT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
@@ -198,7 +196,7 @@ class Liar(SimulatedDevice):
         super()._execute_command(command, sequence)
 
     def _frames(self, sent: bytes, change: Callable[[Message], Message]) -> bytes:
-        return b"".join(self._frame(raw, change) for raw in raw_frames(sent))
+        return b"".join(self._frame(raw, change) for raw in FrameSplitter().feed(sent))
 
     def _frame(self, raw: bytes, change: Callable[[Message], Message]) -> bytes:
         major, type_id, flags, session, sequence = HEADER.unpack_from(raw)
@@ -222,10 +220,19 @@ class Liar(SimulatedDevice):
         return replace(message, **{script.field: _false_value(message, script.field, self._chance)})  # type: ignore[type-var]
 
 
+def _any_value(chance: random.Random, ctype: str) -> int:
+    """Return a value of a C integer type, often a small number or an end of the range."""
+    bits = int(ctype[1:])
+    lowest = -(1 << bits - 1) if ctype[0] == "i" else 0
+    highest = lowest + (1 << bits) - 1
+    ends = (lowest, highest, highest // 2 + 1)
+    return chance.choice((chance.randrange(4), chance.choice(ends), chance.randint(lowest, highest)))
+
+
 def _false_value(message: Message, name: str, chance: random.Random) -> Any:
     ctype = wire_fields(type(message))[name].ctype
     if ctype != "bytes":
-        return any_value(chance, ctype)
+        return _any_value(chance, ctype)
     data = bytearray(getattr(message, name))
     if data and chance.random() < 0.7:
         data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)

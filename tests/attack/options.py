@@ -21,11 +21,8 @@ SERVED_S = 0.5  # of what ends by Ctrl-C alone: while it begins, or when it serv
 SERVE = {("console",), *(("serve", what) for what in ("rig", "moteus", "odrive", "lsl"))}
 FILE_BYTES = 1 << 28  # that a huge value may not fill the disk
 MEMORY_BYTES = 1 << 33
-OF_ALL_LOOPS = {
-    ("stop",),
-    ("set",),
-    ("serve", "lsl"),
-}  # they find all loops of this user, so they need a process namespace
+# They find all loops of this user, so they need a process namespace.
+OF_ALL_LOOPS = {("stop",), ("set",), ("serve", "lsl")}
 BESIDE = {"home", "tmp", "model", "model.out", "model.err", "fonts", "here", "here.out", "here.err"}
 WORDS = (
     "", " ", "x", "-1", "0", "1", "-0.0", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "9" * 400,
@@ -91,14 +88,8 @@ class Options:
         for limit, value in limits.items():
             resource.setrlimit(limit, (value, before[limit][1]))
         try:
-            return run(
-                line,
-                directory,
-                patience_s,
-                HOME=str(self._home),
-                TMPDIR=str(self._elsewhere),
-                MPLCONFIGDIR=str(self._fonts),
-            )
+            places = {"HOME": self._home, "TMPDIR": self._elsewhere, "MPLCONFIGDIR": self._fonts}
+            return run(line, directory, patience_s, **{name: str(place) for name, place in places.items()})
         finally:
             for limit, value in before.items():
                 resource.setrlimit(limit, value)

@@ -24,16 +24,6 @@ class AreaReport:
         if "failure" in answer:
             self.failures[answer["case"]] = answer["failure"]
 
-    def shares(self) -> dict[str, float]:
-        """Return the ratios of the figures: the share of time armed, and bytes per second."""
-        found = {}
-        for unit in ("ticks", "steps"):
-            if self.figures[unit] and f"{unit}_armed" in self.figures:
-                found[f"share of {unit} armed"] = self.figures[f"{unit}_armed"] / self.figures[unit]
-        if self.figures["bytes"] and self.seconds:
-            found["bytes/s"] = self.figures["bytes"] / self.seconds
-        return found
-
     def lines(self, name: str, seed: int) -> list[str]:
         sums = ", ".join(
             f"{value:,} {what.replace('_', ' ')}" for what, value in sorted(self.figures.items())
@@ -42,7 +32,6 @@ class AreaReport:
             f"{name}: {self.tries} tries in {self.seconds:.0f} s, {len(self.failures)} failures"
             + (f"; {sums}" if sums else "")
         ]
-        lines += [f"  {what} {value:,.3g}" for what, value in self.shares().items()]
         lines += [f"  known: {what} ({times} times)" for what, times in sorted(self.known.items())]
         for case, what in self.failures.items():
             lines += [f"  FAILED: --only {name} --seed {seed} --case {case}", *_indent(what[:SHOWN])]

@@ -18,8 +18,6 @@ from tests.conformance.started import die_with_parent
 
 # Area → its class. An area alone imports what it needs.
 AREAS = {
-    "protocol": "tests.attack.protocol:Protocol",
-    "devices": "tests.attack.devices:Devices",
     "options": "tests.attack.options:Options",
     "liars": "tests.attack.liars:Liars",
 }

@@ -10,6 +10,7 @@ import pytest
 
 from firmware_protocol import messages as m
 from firmware_protocol.faults import Fault, LimitFlag
+from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import HEADER, LAYOUTS
 from rig import config
 from rig.config import presets
@@ -24,7 +25,6 @@ from sim_backend.board import device as readable
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.ends.link import MemoryLink
-from tests.attack.protocol import raw_frames
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
@@ -80,7 +80,7 @@ class Run:
         line, send = self.link.line, self.link.line.send
 
         def record(direction: Direction, data: bytes, tick: int) -> None:
-            for raw in raw_frames(data):
+            for raw in FrameSplitter().feed(data):
                 _, type_id, _, session, sequence = HEADER.unpack_from(raw)
                 message = LAYOUTS[type_id].unpack(raw)
                 if isinstance(message, m.Command):
