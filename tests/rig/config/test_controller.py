@@ -96,15 +96,6 @@ def test_an_effort_limit_of_a_whole_number_of_quanta_is_that_number(
     )
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_at_the_limit_of_the_amplifier_rig_and_simulated_device_agree(name: Any) -> None:
-    experiment = presets.load(name)
-    top = experiment.rig.amplifier.effort_limit
-    experiment = config.override(experiment, {"rig.limits.effort": top, "rig.limits.override_stall": True})
-    info = describe(config.rig_model(experiment), "x", 1000, 50000).parameter("current_limit")
-    assert device_parameters(experiment)["current_limit"] <= info.maximum
-
-
 def test_units_become_ticks_counts_and_quanta() -> None:
     experiment = config.override(
         COMPLIANT,

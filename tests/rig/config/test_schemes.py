@@ -28,19 +28,6 @@ def test_rates_are_read_in_hertz_or_kilohertz(text: str, rates: tuple[int, ...])
     assert scheme.kind == text.strip().partition(":")[0]
 
 
-@pytest.mark.parametrize(
-    ("rate", "text"),
-    [
-        (500, "500"), (1000, "1k"), (1500, "1.5k"), (12_345, "12345"), (20_000, "20k"), (1_000_000_000, "1000000k"),
-        (1_234_567_800, "1234567.8k"), (100, "100"), (10_100, "10.1k"), (16_100, "16.1k"),
-    ],
-)  # fmt: skip
-def test_a_rate_is_written_in_whole_digits(rate: int, text: str) -> None:
-    scheme = Scheme(position_rate=rate, velocity_rate=rate)
-    assert scheme.text == f"uniform:{text}"
-    assert Scheme.parse(scheme.text) == scheme
-
-
 @given(
     st.integers(10, 200_000),
     st.integers(10, 200_000),
@@ -151,12 +138,6 @@ def test_prediction_and_adaptive_velocity_rate_reach_the_controller() -> None:
 def test_a_scheme_that_cannot_run_is_an_error_that_names_it(text: str) -> None:
     with pytest.raises(ConfigError, match=text.partition(",")[0]):
         Scheme.parse(text).applied(KOUL)
-
-
-def test_labels_show_what_differs() -> None:
-    assert Scheme.parse("uniform:20k").label(KOUL) == "uniform 20 kHz, fdm-butterworth 2000 Hz"
-    text = "dual:20k/2k,estimator=levant,prediction=extrapolate"
-    assert Scheme.parse(text).label(KOUL) == "dual 20/2 kHz, levant, extrapolated"
 
 
 def test_a_wrong_rate_is_refused_with_the_reason() -> None:
