@@ -1,7 +1,6 @@
 """The command line as a whole: invalid words, messages and exit codes."""
 
 import ast
-import builtins
 import importlib
 import inspect
 import json
@@ -25,18 +24,6 @@ from rig.realtime.source_files import source_files
 from tests.conformance.commands import commands
 
 EXIT_CODES = Path(rig.__file__).parent / "docs" / "reference" / "exit-codes.md"
-
-
-def test_a_command_looks_for_garbage_seldom_and_not_at_its_end() -> None:
-    program = """
-import atexit, gc, sys
-atexit.register(lambda: print(gc.get_freeze_count() > 10_000, gc.get_threshold()[0] > 10_000))
-sys.argv = ["rig", "--version"]
-from rig.__main__ import main
-main()
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "True True"
 
 
 @pytest.mark.parametrize(
@@ -83,27 +70,6 @@ def test_an_empty_value_of_any_option_is_an_error_that_names_it(capsys: pytest.C
 
 
 OPTIONAL = "distributed|mcap|moteus|mujoco|odrive|pandas|pylsl|sphinx|statsmodels|unicorn|websockets|xarray"
-
-WITHOUT_LIBRARIES = """
-import sys
-for package in sys.argv[1:]:
-    sys.modules[package] = None  # as if it was not installed
-from click.testing import CliRunner
-from rig.cli import rig
-from tests.conformance.commands import commands
-for path, _ in commands(rig):
-    result = CliRunner().invoke(rig, [*path, "--help"])
-    assert result.exit_code == 0, (path, result.output, result.exception)
-print(CliRunner().invoke(rig, ["console"]).exception)
-"""
-
-
-@pytest.mark.exhaustive("::test_no_file_needs_an_optional_library_to_be_imported")
-def test_each_command_explains_itself_without_its_libraries_and_names_what_to_install() -> None:
-    program = [sys.executable, "-c", WITHOUT_LIBRARIES, *OPTIONAL.split("|")]
-    done = subprocess.run(program, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "pip install 'haptic-rig[console]'" in done.stdout
 
 
 def test_no_file_needs_an_optional_library_to_be_imported() -> None:
@@ -168,70 +134,6 @@ def test_a_change_for_a_run_that_ends_before_it_is_active_has_its_own_exit_code(
     monkeypatch.setattr(live, "change_wall", lambda *_, **__: replace(done, ended=False))
     assert rig.cli.run(["set", "stiffness=1"]) == 0
     assert "not active yet" in capsys.readouterr().out
-
-
-def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of() -> None:
-    """Once `rig.cli.set` is imported, ``set`` inside ``rig.cli`` is that module."""
-    taken = {module.rpartition(".")[2] for module in source_files(["rig"]) if module.startswith("rig.cli.")}
-    tree = ast.parse(inspect.getsource(rig.cli))
-    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-    assert "set" in taken & set(dir(builtins))
-    assert not taken & set(dir(builtins)) & used
-
-
-def texts(pattern: str) -> list[tuple[str, str]]:
-    """Return module and text of the strings outside the commands, except docstrings, of files in which one matches."""
-    word = re.compile(pattern)
-    found = []
-    for module, path in source_files(["rig"]).items():
-        if module.startswith("rig.cli") or re.fullmatch(r"rig\.extras\.\w+\.cli(_\w+)?", module):
-            continue
-        lines = (source := path.read_text()).splitlines()
-        quoting = (line for line in lines if '"' in line and not line.lstrip().startswith('"""'))
-        if not any(map(word.search, quoting)):
-            continue  # parsing takes 2 ms a file
-        everything = list(ast.walk(ast.parse(source)))
-        documented = {
-            id(node.value)
-            for node in everything
-            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        }
-        found += [
-            (module, node.value)
-            for node in everything
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documented
-        ]
-    return found
-
-
-@pytest.mark.exhaustive("::test_an_argument_that_a_message_names_is_an_option_of_a_command")
-def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
-    """A whole command, as typed in a shell, is allowed as a remedy."""
-    word = re.compile(option := r"(?<![\w-])--[a-z]")
-    command = re.compile(r"\b(?:rig|pytest) [a-z-]+|sudo|docker|apt|systemctl|cap-add|-Wl|moteus_tool")
-    named = [
-        (module, text) for module, text in texts(option) if word.search(text) and not command.search(text)
-    ]
-    assert [one for one in named if not re.fullmatch(r"--[\w=.*-]+", one[1])] == []
-
-
-def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
-    words = {name for _, command in commands() for one in command.params for name in one.opts}
-    options = {word[2:].replace("-", "_") for word in words if word.startswith("--")}
-    named = {
-        (module, found)
-        for module, text in texts(rf"`(?!({'|'.join(options)})`)[a-z]+(_[a-z]+)*`")
-        if len(text) < 110  # longer ones are pages
-        for found in output._ARGUMENT.findall(text)
-    }
-    assert len(named) > 5
-    assert [one for one in sorted(named) if one[1] not in options] == []
-
-
-def test_a_message_never_means_the_program_where_a_command_shows_an_option() -> None:
-    """`rig` in a message is a function's argument; the program is haptic-rig, or part of a whole command."""
-    named = {module for module, text in texts("`rig`") if "`rig`" in text}
-    assert named == {"rig.core.same_rig", "rig.firmware._selftest"}
 
 
 def test_invisible_characters_of_a_message_are_escaped_in_a_terminal() -> None:

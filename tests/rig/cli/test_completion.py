@@ -127,7 +127,3 @@ def test_the_script_of_a_shell_requests_our_completions(
     found = shutil.which(shell)
     if found is not None:
         subprocess.run([found, "-n"], input=text, text=True, check=True, timeout=20)
-
-
-def test_an_unknown_shell_is_answered_with_a_code() -> None:
-    assert complete.answer("tcsh_complete") == 1

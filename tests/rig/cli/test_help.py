@@ -9,7 +9,7 @@ import click
 import pytest
 
 import rig.cli
-from rig.cli.command import DEVICE, EXPERIMENT, OWN, RESULT, GroupedCommand
+from rig.cli.command import DEVICE, OWN, RESULT, GroupedCommand
 from tests.conformance.commands import commands
 from tests.conformance.guides import ROOT
 
@@ -44,21 +44,6 @@ def test_an_option_has_one_short_form_one_kind_of_value_and_one_group_everywhere
         option: dict(forms) for option, forms in seen.items() if len(forms) > 1 and option not in DIFFERENT
     }
     assert different == {}
-
-
-def test_a_rig_is_a_name_or_a_file_in_every_command() -> None:
-    metavars = {one.metavar for _, command in all_commands() for one in command.params if "--rig" in one.opts}
-    assert metavars == {"NAME|FILE"}
-
-
-def test_options_are_listed_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
-    assert rig.cli.run(["hit", "--help"]) == 0
-    text = capsys.readouterr().out
-    places = [text.index(f"\n{title}:\n") for title in (EXPERIMENT, DEVICE, RESULT)]
-    assert places == sorted(places)
-    assert places[0] < text.index("--stiffness") < places[1]
-    assert places[1] < text.index("--url") < places[2] < text.index("--json")
-    assert text.count("--help") == 1
 
 
 def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
