@@ -9,13 +9,13 @@ import pytest
 from click.testing import CliRunner
 
 import rig.cli
-from rig.core.errors import ConfigError, RecordingError, RigError
+from rig.core.errors import ConfigError, RecordingError
 from rig.experiments.mapping import _maps as maps
 from rig.experiments.mapping import interface
 from rig.experiments.sweep import run_here
 from rig.experiments.sweep._journal import Journal, read_on
 from rig.extras.console import map_errands, map_jobs
-from rig.extras.console.maps import MapService, Watched
+from rig.extras.console.maps import MapService
 from rig.extras.console.requests import request_of
 from rig.recording.reader import open_recording
 from tests.conformance.maps import SHORT, short_map
@@ -106,21 +106,6 @@ def test_new_lines_of_a_journal_are_sent_once_and_its_writer_makes_it_running(
         held.close()
     assert (len(rest["columns"]), rest["state"]) == (3, "running")
     assert map_errands.growth(str(growing), rest["place"])["state"] == "stopped"
-
-
-def test_time_left_is_by_weight_since_the_first_column() -> None:
-    facts = {"schemes": [{"weight": 20_000}, {"weight": 1000}], "dampings": [0.0, 0.1], "stripes": [""]}
-    watched = Watched(Path("a map"), facts, set())
-    growth = [
-        {"columns": [], "place": 0, "state": "running"},
-        {"columns": [{"scheme": 0}], "place": 1, "state": "running"},
-        {"columns": [{"scheme": 0}], "place": 2, "state": "running"},
-    ]
-    left = []
-    for now_s, grown in zip((0.0, 100.0, 110.0), growth, strict=True):
-        watched.take(grown, now_s)
-        left.append(json.loads(watched.progress_message([], now_s, anew=False))["left_s"])
-    assert left == [None, None, pytest.approx(10.0 * 2000 / 20_000)]
 
 
 def test_theory_is_sent_along_the_dampings_of_the_map(root: Path) -> None:
@@ -247,12 +232,3 @@ async def test_only_the_operating_page_starts_and_ends_maps_and_no_page_chooses_
         with pytest.raises(ConfigError, match="another page operates"):
             await ask(service, Page("another"), do)
     assert common.jobs.running is None
-
-
-@pytest.mark.parametrize(
-    "field",
-    [{"ratio": 0.5}, {"repeats": 0}, {"way": "x"}, {"domain": "x"}, {"schemes": ["x"] * 40}, {"odd": 1}],
-)
-def test_an_impossible_plan_is_refused_before_a_process_starts(field: dict[str, Any]) -> None:
-    with pytest.raises(RigError, match="map-run"):
-        job_content(**field)

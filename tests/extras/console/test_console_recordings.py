@@ -158,13 +158,6 @@ def test_a_cut_of_a_whole_recording_loses_no_spike_and_a_zoom_shows_every_row(ou
     assert low["velocity"].tolist() == high["velocity"].tolist() == whole.rows["velocity"][100:201].tolist()
 
 
-def test_a_cut_beyond_the_recording_is_empty(output: Path) -> None:
-    header, *_ = frame_of(
-        fetch(output, "/recordings/one.parquet/cut?columns=velocity&first=1e6&last=1e7").body
-    )
-    assert header["points"] == 0
-
-
 def test_a_replay_lies_over_the_same_times_and_says_how_far_it_is_apart(output: Path) -> None:
     whole = open_recording(output / "one.parquet")
     stretch = "first=0.1&last=0.12"

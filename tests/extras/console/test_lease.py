@@ -45,15 +45,6 @@ def test_a_page_that_is_silent_loses_it_once() -> None:
     assert lease.held().by is None
 
 
-def test_beats_keep_it() -> None:
-    clock, lease = taken()
-    for _ in range(100):
-        clock.now += 0.1
-        lease.beat("one")
-        assert not lease.held().overdue
-        assert lease.expire() is None
-
-
 def test_a_server_that_did_not_listen_counts_no_silence() -> None:
     clock, lease = taken()
     clock.now += 10.0  # a computer that had no time for it: beats wait in the socket

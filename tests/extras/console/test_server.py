@@ -437,14 +437,6 @@ async def test_a_participants_screen_receives_what_it_shows_and_nothing_else(tmp
                         await socket.recv()
 
 
-async def test_a_page_cannot_drag_a_handle_that_something_else_moves(tmp_path: Path) -> None:
-    """A session's hand uses the same file."""
-
-    async with served(tmp_path) as console, console.page() as page:
-        refused = await page.ask("hand", position=0.1)
-        assert "no run with a dragged handle" in refused["error"]["error"]
-
-
 async def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:
     async with (
         served(tmp_path) as console,
@@ -524,21 +516,6 @@ async def test_a_page_that_reads_nothing_takes_no_more_memory(
             assert message["velocity"] is None, "what a browser reads"
 
 
-async def test_a_page_receives_the_theory_of_a_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Errands, "run", Here.run)
-
-    async with served(tmp_path) as console, console.page() as page:
-        soft = (await page.ask("regions", damping=0.2, delay_ticks=1))["result"]
-        late = (await page.ask("regions", damping=0.2, delay_ticks=4))["result"]
-        assert soft["stable"] > late["stable"] > 0.0, "delay takes stiffness away"
-        nothing = (await page.ask("regions", damping=0.2, rig="koul-rigid", delay_ticks=0))["result"]
-        assert nothing["passive"] < nothing["stable"]
-        experiment = (await page.ask("experiment", changes={"wall.stiffness": 33}))["result"]
-        assert experiment["wall"]["stiffness"] == 33
-        answer = await page.ask("experiment", changes={"wall.law": "rm"})
-        assert "wall.law" in answer["error"]["error"]
-
-
 async def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overrides_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -584,17 +561,3 @@ async def test_a_port_that_is_taken_is_an_error_that_names_it(tmp_path: Path) ->
         port = taken.getsockname()[1]
         with pytest.raises(ConfigError, match=str(port)):
             await served(tmp_path, port=port).__aenter__()
-
-
-async def test_a_console_of_a_test_neither_looks_at_a_loop_of_another_process_nor_stops_it(
-    tmp_path: Path, searched: Searched, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """STOP in a test once ended runs of other processes on the machine."""
-    monkeypatch.setattr("tests.conformance.console.processes_of_this_test", list)
-    loop = HandTurnedLoop(64, shared=True)
-    with loop.ring:
-        async with served(tmp_path) as console, console.page() as page:
-            await searched(2)
-            assert page.newest("loop") is None
-            await page.ask("stop")
-            assert loop.ring.get(control_words.STOP) == 0
