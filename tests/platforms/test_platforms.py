@@ -2,7 +2,6 @@
 
 import builtins
 import json
-import mmap
 import os
 import subprocess
 import sys
@@ -95,35 +94,6 @@ def test_commands_load_without_the_modules_of_linux(platform: str, tmp_path: Pat
     assert done.returncode == 2, done.stderr
     assert LINUX_ALONE in done.stderr
     assert (tmp_path / "study.toml").exists()
-
-
-def test_a_file_that_is_open_or_mapped_stays_on_windows(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_bytes(b"data")
-    unlink, replace = (emulated.unless_open(call) for call in (os.unlink, os.replace))
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ):
-        file.close()
-        for call, more in ((unlink, ()), (replace, (tmp_path / "other",))):
-            with pytest.raises(PermissionError):
-                call(path, *more)
-    replace(path, tmp_path / "other")
-    unlink(tmp_path / "other")
-    assert not list(tmp_path.iterdir())
-
-
-def test_emulation_hides_names_from_our_packages_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(builtins, "__import__", emulated.import_of("win32", builtins.__import__))
-    ours = {"__name__": "rig.core.made_up"}
-    theirs = {"__name__": "numpy.made_up"}
-    exec("import os, sys, time", ours)
-    exec("import os, sys, fcntl", theirs)
-    assert (ours["sys"].platform, theirs["sys"].platform) == ("win32", "linux")
-    assert not hasattr(ours["os"], "getuid")
-    assert not hasattr(ours["time"], "CLOCK_MONOTONIC")
-    with pytest.raises(ModuleNotFoundError):
-        exec("import fcntl", ours)
-    with pytest.raises(TypeError):
-        exec("import ctypes; ctypes.CDLL(None)", ours)
 
 
 def test_locks_of_windows_lie_after_all_data_and_refuse_a_second_writer(

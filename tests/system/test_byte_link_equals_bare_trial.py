@@ -1,4 +1,4 @@
-"""A trial over the byte link equals the direct simulation: frames, codec, ring and recorder change no number."""
+"""A trial over the byte link, and each number of a hit in a map, equal the direct simulation to the last bit."""
 
 from pathlib import Path
 from typing import Any
@@ -8,9 +8,11 @@ import pytest
 
 from rig import config
 from rig.config import controller, presets
+from rig.control.judging import meter, recorded_signals, true_signals
 from rig.core.sample import Phase
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
+from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.recording.header import repeatable
 from rig.recording.reader import open_recording
 from sim_backend.bare import trial as bare
@@ -28,11 +30,15 @@ HELD = {
     "operator.begin_s": 0.06,
     "operator.reach_s": 0.1,
 }
+LONGER = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
+PUSHED = {"trial.kind": "human", "rig.limits.human": False, "operator.begin_s": 0.0, "operator.reach_s": 0.2}
 COGS = {
     "rig.cogging.period": 0.02,
-    "rig.cogging.orders": [3],
-    "rig.cogging.cosine": [0.002],
-    "rig.cogging.sine": [0.004],
+    "rig.cogging.orders": [1, 3],
+    "rig.cogging.cosine": [0.01, 0.0],
+    "rig.cogging.sine": [0.0, -0.02],
+    "rig.cogging.ripple_cosine": [0.05, 0.0],
+    "rig.cogging.ripple_sine": [0.0, -0.03],
 }
 
 
@@ -111,3 +117,45 @@ def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_han
             assert pushed[0] < 0 < pushed.max()
             counts.append(pushed)
     assert counts[0].tobytes() != counts[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    first_by_default(
+        [
+            ("koul-compliant", {}),
+            ("chawda-linear", PUSHED | COGS),
+            ("koul-rigid", {"controller.velocity_rate": 20000, "controller.estimator": "disturbance"}),
+            ("koul-compliant", PUSHED),
+            ("koul-compliant", COGS),
+            ("koul-rigid", PUSHED | {"rig.encoder.sign": -1, "wall.stiffness": 600.0}),
+            ("chawda-linear", {"rig.simulation.computation_delay_ticks": 2}),
+        ],
+        3,
+    ),
+)
+def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(
+    name: str, changes: Any, tmp_path: Path
+) -> None:
+    experiment = config.override(presets.load(name), {**LONGER, **changes, "trial.seed": 5})
+    simulator = HitSimulator(experiment)
+    without_bytes = simulator.hit(experiment.wall.stiffness, experiment.wall.damping)
+
+    placed = config.override(experiment, {"rig.simulation.initial_position": simulator.start})
+    rows = over_the_wire(placed, tmp_path / "hit.rigcap").rows
+
+    tick_s, resolution = 1.0 / placed.controller.position_rate, placed.rig.encoder.resolution
+    measuring = meter(simulator.limits, tick_s, resolution)
+    recorded = recorded_signals(rows, tick_s, resolution)
+    for signals, measured in (
+        (recorded, without_bytes.recorded),
+        (true_signals(rows, recorded, placed.wall.position, placed.wall.side), without_bytes.true),
+    ):
+        again = measuring.true if signals.velocity is not None else measuring.recorded
+        arrays = [signals.position, signals.effort, signals.penetration]
+        if signals.velocity is not None:
+            arrays.insert(1, signals.velocity)
+        flags = rows["flags"][rows["phase"] == Phase.TRIAL].astype(np.int64) & ~CURRENTS
+        numbers = again(*arrays, flags)
+        assert numbers.tobytes() == measured.numbers.tobytes()
+    assert without_bytes.true.numbers["contact_s"] > 0.0

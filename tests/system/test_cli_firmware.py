@@ -9,20 +9,8 @@ import pytest
 from rig.firmware import _build
 from rig.firmware import _flash as flashing
 from rig.firmware._uf2 import RP2040, Piece, write_uf2
-from tests.conformance.firmware import need_compiler
 from tests.firmware import cross
 from tests.rig.firmware.test_firmware_flash import IMAGE
-
-
-def test_the_law_of_the_firmware_streams_without_a_current(run: Any) -> None:
-    need_compiler()
-    url = "sim://koul-rigid?firmware=1"
-    code, out, err = run(
-        "firmware", "selftest", url, "--rig", "koul-rigid", "--stream", "--rate", "1000", "--seconds", "0.1"
-    )
-    assert code == 0, err
-    assert "ok stream: " in out
-    assert "0 gaps; no current" in out
 
 
 def test_an_image_is_flashed_to_the_drive_of_a_pico(
@@ -59,11 +47,3 @@ def test_an_image_is_built_and_inspected(run: Any, built_image: Any) -> None:
     assert all(
         words in out for words in ("mps2", "koul-rigid", built_image["dictionary_hash"], "compatible", "yes")
     )
-
-
-@pytest.mark.exhaustive("tests/firmware/test_build.py::test_unknown_boards_and_settings_are_refused")
-def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run: Any) -> None:
-    cross.need_compiler()
-    code, _, err = run("firmware", "build", "--set", "enable_pin=2")
-    assert code == 2
-    assert "encoder_pin and enable_pin of board rp2040 both use pin 2" in err

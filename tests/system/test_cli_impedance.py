@@ -42,18 +42,6 @@ def test_the_exit_code_reports_whether_the_rig_is_passive(run: Any) -> None:
 
 
 @pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
-def test_welch_and_schroeder_by_the_papers_way(run: Any) -> None:
-    code, out, _ = run(
-        "impedance", "measure", "--bare", "--method", "welch", "--kind", "schroeder", "--json", "--no-plot"
-    )
-    assert code == 0
-    (only,) = json.loads(out)["results"]
-    assert only["method"] == "welch"
-    assert only["excitation"]["realisations"] == 1
-    assert only["fitted"]["values"]["inertia"] == pytest.approx(0.52, rel=0.05)
-
-
-@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
 def test_over_the_link_the_rigs_motor_excites_and_every_run_is_recorded(run: Any, tmp_path: Path) -> None:
     code, out, _ = run("impedance", "measure", "--url", "sim://", *SHORT, "-K", "10000", "-B", "20")
     assert code == 0

@@ -5,7 +5,6 @@ import json
 import shlex
 import sys
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,7 @@ import rig
 import rig.cli
 from rig.cli._listing import commands
 from rig.cli._next_step import NEXT
-from rig.views import site
-from tests.conformance.commands import parse_line, resolve
-from tests.conformance.guides import blocks
+from tests.conformance.commands import parse_line
 
 OPTIONS = shlex.split(
     "--mechanism lever --torque-constant 38.5mNm/A --rotor-inertia 110gcm2 --nominal-current 2.5A --encoder-lines 2048 "
@@ -63,15 +60,6 @@ def test_options_make_the_file_of_the_function(run: Any) -> None:
     assert json.loads(out)["experiment"]["rig"]["name"] == "other"
 
 
-def test_missing_values_are_named_as_options(run: Any) -> None:
-    code, _, err = run("experiment", "new", *OPTIONS[:-4])
-    assert code == 2
-    assert "--handle-length" in err
-    assert "--handle-mass" in err
-    assert "--torque-constant" not in err
-    assert not list(Path().iterdir())
-
-
 def test_an_existing_file_is_replaced_only_on_agreement(run: Any, type_lines: Any) -> None:
     Path("mine.toml").write_text("# mine\n")
     code, _, err = run("experiment", "new", *OPTIONS)
@@ -114,18 +102,6 @@ def test_a_next_command_exists_with_its_options(name: str) -> None:
     words = shlex.split(NEXT[name].format(rig=" mine.toml", device=" --url sim://"))
     assert words[0] == "rig"
     parse_line(words[1:])
-
-
-def test_each_command_on_the_way_to_a_map_names_the_next_one() -> None:
-    """Reads the commands of the page `first-walls.md`; that each of them works is tested in test_docs."""
-    page = site.SOURCES / "first-walls.md"
-    lines = [line for block in blocks(page) if not block.reason for line in block.commands()]
-    way = [resolve(shlex.split(line)[1:])[0].command_path.removeprefix("rig ") for line in lines]
-    way = way[: way.index("zwidth") + 1]
-    assert len(way) <= 7  # after the installation
-    assert way[0] == "experiment new"
-    for before, after in pairwise(way):
-        assert NEXT[before].startswith(f"rig {after}{{rig}}")
 
 
 def test_the_next_command_has_the_rig_and_the_device_of_this_one(run: Any) -> None:

@@ -12,7 +12,7 @@ import pytest
 from rig.cli import run as rig
 from rig.doctor import pace
 from rig.session.engine._directory import LOG
-from rig.session.engine._log import SessionLog, read
+from rig.session.engine._log import read
 from rig.session.engine._rehearsal import Person
 from tests.conformance.far_end import patient_host
 from tests.system.session_study import PROTOCOL, written
@@ -93,22 +93,6 @@ def test_show_is_blind_by_default(study: Path, capsys: pytest.CaptureFixture[str
     assert "hidden-dual" in open_log
 
 
-def test_show_prints_times_or_dates(study: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    _, out, _ = call(capsys, "show", str(study / ALL / "P01"), "--log")
-    assert out.count("in the simulation's time") == 1
-    assert "    0  00:00:00  began" in out
-    real = tmp_path / "P01"
-    real.mkdir()
-    content = dict(read(study / ALL / "P01" / LOG)[0].content)
-    with SessionLog(real / LOG, clock=iter((1.7e9, 1.7e9 + 1, 1.7e9 + 90_000)).__next__) as log:
-        log.append("began", **content)
-        log.append("paused", reason="requested by the operator")
-        log.append("continued")
-    _, out, _ = call(capsys, "show", str(real), "--log")
-    dates = [line for line in out.splitlines() if line.startswith("  2023-11-1")]
-    assert len(dates) == 2
-
-
 def test_a_damaged_last_line_is_reported_and_set_aside(
     study: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -131,16 +115,6 @@ def test_a_damaged_last_line_is_reported_and_set_aside(
     assert "session of P01: complete" in out
     (resumed,) = [event for event in read(here / LOG) if event.kind == "resumed"]
     assert resumed.content["damaged"][0]["file"] == "session.log.damaged-1"
-
-
-def test_a_refused_code_changes_nothing(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = {path: path.stat().st_mtime_ns for path in study.rglob("*")}
-    status, _, err = call(
-        capsys, "run", str(study / "quick.toml"), "P01", "--rehearse", "--study", str(study / ALL)
-    )
-    assert status == 2
-    assert "already contains a rehearsal with a simulated person" in err
-    assert {path: path.stat().st_mtime_ns for path in study.rglob("*")} == before
 
 
 def test_a_session_with_a_person_needs_a_terminal(

@@ -43,13 +43,6 @@ def test_a_new_protocol_is_written_once_and_passes(run: Any, tmp_path: Path) -> 
     assert {cell["condition"] for cell in plan["cells"]} == {"uniform 20 kHz", "dual-rate 20/2 kHz"}
 
 
-def test_templates_are_listed(run: Any) -> None:
-    code, out, _ = run("session", "new", "--list")
-    assert code == 0
-    assert out.split()[0] == "brown-factorial"
-    assert json.loads(run("session", "new", "--list", "--json")[1]).keys() >= {"koul-fig6"}
-
-
 @pytest.mark.parametrize("blind", first_by_default(["both", "none", "operator", "participant"], 2))
 def test_the_plan_hides_the_order_from_a_blinded_operator(run: Any, tmp_path: Path, blind: str) -> None:
     (tmp_path / "study.toml").write_text(

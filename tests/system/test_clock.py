@@ -1,7 +1,6 @@
 """Device clocks that drift: the clock fit and the times in a recording agree with the simulated clock."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -81,15 +80,6 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return hit(tmp_path_factory.mktemp("sealed"), 50.0)
 
 
-def test_timing_as_json_equals_the_trailer(run: Any, sealed: Any, tmp_path: Path) -> None:
-    code, out, _ = run("recording", "timing", sealed, "--json", "--no-plot")
-    assert code == 0
-    facts = json.loads(out)
-    assert facts.pop("picture") is None
-    assert facts == open_recording(sealed).trailer["timing"]
-    assert not list(tmp_path.iterdir())
-
-
 def change(sealed: Any, path: Any, **changes: Any) -> Any:
     recording = dataclasses.replace(open_recording(sealed), **changes)
     with open(path, "wb") as file:
@@ -123,9 +113,3 @@ def test_a_recording_without_rows_or_with_a_broken_clock_is_refused(
     for path, words in ((empty, "no rows"), (broken, "clock")):
         code, _, err = run("recording", "timing", path)
         assert (code, words in err) == (9, True)
-
-
-def test_device_show_fits_the_clocks(run: Any) -> None:
-    _, out, _ = run("device", "show", "sim://koul-compliant?clock_ppm=50", "--json")
-    clock = ClockFit.from_mapping(json.loads(out)["clock"])
-    assert clock.drift_ppm == pytest.approx(-50.0, abs=3 * clock.drift_sd_ppm)

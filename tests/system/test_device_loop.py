@@ -19,6 +19,7 @@ from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.mapping import impedance
 from rig.experiments.trials import _trial as trial
 from rig.experiments.trials import live
+from rig.experiments.trials.plan import make_plan
 from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
 from rig.testing import Hits, assert_stable
@@ -161,6 +162,19 @@ def test_a_device_without_a_law_is_refused_before_anything_moves(run: Any, tmp_p
     assert "cannot run the law itself" in err
     assert "firmware=1" in err
     assert not list(tmp_path.glob("*.rigcap"))
+
+
+@pytest.mark.parametrize("loop", first_by_default(["host", "device"]))
+def test_a_planned_run_is_the_one_that_runs(loop: str, tmp_path: Path) -> None:
+    experiment = config.override(presets.load("koul-rigid"), {"controller.loop": loop})
+    run = make_plan(experiment).run
+    assert run is not None
+    (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
+    header = result.recording.header
+    assert header["initial_state"] == json.loads(json.dumps(run.controller.as_mapping()))
+    active, planned = header["identity"]["parameters"], {**run.parameters, "verified": 1}
+    # The wire carries float32.
+    assert {name: active[name] for name in planned} == pytest.approx(planned, rel=2.0**-24)
 
 
 @pytest.mark.parametrize("loop", first_by_default(["device", "host"]))

@@ -28,14 +28,6 @@ def run(place: Path, *command: str | Path) -> str:
     return done.stdout
 
 
-def test_there_are_ten_short_ones_and_the_page_lists_them() -> None:
-    paths = [path for path in EXAMPLES.iterdir() if path.suffix in {".py", ".c"}]
-    page = EXAMPLES.with_suffix(".md").read_text(encoding="utf-8")
-    assert len(paths) == 10
-    assert [path.name for path in paths if f"](examples/{path.name})" not in page] == []
-    assert max(path.read_text(encoding="utf-8").count("\n") for path in paths) <= 80
-
-
 @pytest.mark.exhaustive("tests/system/test_readme.py::test_the_example_with_a_new_law_runs")
 @pytest.mark.parametrize("name", [name for name in PROGRAMS if name != PARALLEL])
 def test_a_program_runs(

@@ -5,7 +5,6 @@ by each kind of fault; of similar frames (those of the push, clock comparisons, 
 Faults of the devices themselves: tests/firmware/test_firmware_faults.py.
 """
 
-import os
 import signal
 from collections.abc import Callable
 from itertools import product
@@ -30,20 +29,17 @@ from rig.core.errors import (
     StoppedError,
 )
 from rig.core.sample import Phase, RowFlag
-from rig.devices import framed, open_device
+from rig.devices import framed
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import EXCHANGES
-from rig.devices.local import serve_locally
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice
-from tests.conformance.census import children
 from tests.conformance.firmware import need_compiler
 from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default
-from tests.conformance.trials import trial_on
 
 LIFETIME_S = 0.005  # of a command: five ticks at 1 kHz
 RAMP_S = 0.010
@@ -403,29 +399,3 @@ def test_a_device_that_is_not_safe_does_not_arm(far_end: str, tmp_path: Path) ->
     assert Fault.EMERGENCY_STOP.text in str(trial.error)
     assert not trial.path.exists()
     assert len(bench.device.truth()) == 0
-
-
-@pytest.mark.exhaustive(
-    "tests/system/test_faults_realtime.py::test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest"
-)
-def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(tmp_path: Path) -> None:
-    """Killing the device process hangs up the pseudo-terminal, as pulling a USB plug does."""
-    long = config.override(SHORT, {"trial.duration_s": 30.0, "verdict.tail_s": 0.4})
-    path = tmp_path / "unplugged.rigcap"
-    before = set(children())
-    with serve_locally("sim://", config.rig_model(long)) as url, open_device(url) as device:
-        (process,) = set(children()) - before
-
-        def pull_the_plug(ticks: Any, phase: Any) -> None:
-            if ticks > 200:
-                os.kill(process, signal.SIGKILL)
-
-        with pytest.raises(LinkLostError) as caught:
-            trial_on(device, long, path, progress=pull_the_plug, sealed=False)
-    assert caught.value.remedy
-    assert caught.value.statistics["ticks"] > 200
-    assert len(caught.value.rows) == 100
-    recording = open_recording(path)
-    assert recording.complete
-    assert recording.trailer["reason"] in {"link_closed", "link_silent"}
-    assert len(recording.rows) == caught.value.statistics["ticks"]

@@ -148,22 +148,6 @@ def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_runs_again(
     trial.check(LinkLostError, replays=False)
 
 
-@pytest.mark.exhaustive(
-    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
-)
-def test_an_exception_of_the_caller_ends_the_run_with_zero(bench: Bench) -> None:
-    device = bench.start()
-
-    def break_down(ticks: Any, phase: Any) -> None:
-        if ticks > bench.early:
-            raise ZeroDivisionError("a bug in a progress bar")
-
-    with pytest.raises(ZeroDivisionError):
-        bench.run(device, progress=break_down)
-    device.wait_for_rest()
-    assert open_recording(bench.directory / "trial.rigcap").complete
-
-
 @on_both
 @pytest.mark.parametrize(
     "number", first_by_default([signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGSTOP])

@@ -245,26 +245,6 @@ def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(
 # ---------------------------------------------------------------------- from outside
 
 
-def test_a_process_that_a_test_starts_ends_with_the_test() -> None:
-    program = """
-import sys
-from tests.conformance.started import started
-with started("sleep", "600") as process:
-    print(process.pid, flush=True)
-    sys.stdin.read()
-"""
-    mark = uuid.uuid4().hex
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with started(sys.executable, "-c", program, env={**os.environ, MARK: mark}, **pipes) as test:
-        number, deadline = int(test.stdout.readline()), time.monotonic() + WAIT_S
-        # The leash is on once the program that puts it on has become the other.
-        while Path(f"/proc/{number}/comm").read_text() != "sleep\n" or number not in marked(mark):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        test.kill()
-    assert not still_there(mark)
-
-
 @pytest.mark.signals
 @pytest.mark.quiet
 def test_a_command_that_ctrl_c_ends_leaves_no_process_and_no_memory(tmp_path: Path) -> Any:

@@ -19,7 +19,6 @@ from rig.core.sample import Phase, RowFlag
 from sim_backend.bare.trial import Trace, run_arguments, run_ticks
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import DiscretePlant, advance
-from tests.conformance.tiers import first_by_default
 from tests.system.test_dead_encoder import DEAD
 
 Count = Callable[[int], int]
@@ -120,16 +119,6 @@ def test_with_an_encoder_that_dies_the_handle_of_any_rig_stays_slow(
     ran = run(x, at=away(x, 0.5), dies=dies, dead=DEAD[dead])
     assume(not ran.inside)
     assert_bounded(x, ran, dies)
-
-
-@pytest.mark.parametrize("name", first_by_default(presets.names(), 2))
-def test_a_homing_servo_below_the_check_of_the_device_is_stopped(name: str) -> None:
-    x = presets.load(name)
-    friction = moved_mechanics(config.rig_model(x)).friction
-    x = config.override(x, {"homing.effort": friction + 0.04 * x.rig.limits.effort})
-    ran = run(x, at=away(x, 0.2), dies=100)
-    assert_bounded(x, ran, 100)
-    assert RowFlag.UNMOVED in ran.flags
 
 
 @pytest.mark.parametrize("name", presets.names())

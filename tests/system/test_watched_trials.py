@@ -110,23 +110,6 @@ def test_the_watch_changes_no_bit_of_a_stable_wall(grip: str) -> None:
     assert freely.ticks == watched.ticks
 
 
-def test_a_plan_lists_its_watches() -> None:
-    for_people = {
-        "rig.limits.human": True,
-        "rig.limits.effort": 0.28,
-        "operator.press": 1.0,
-        "trial.minimum_rest_counts": 0.0,
-    }
-    names = {
-        check.name for check in make_plan(override(PLACED, {**for_people, "rig.limits.energy": 0.1})).checks
-    }
-    assert {"energy", "violence"} <= names
-    names = {check.name for check in make_plan(PLACED).checks}
-    assert not {"energy", "violence"} & names, "a preset for automated trials watches nothing"
-    off = override(PLACED, {**for_people, "rig.limits.oscillations": 0})
-    assert "violence" not in {check.name for check in make_plan(off).checks}
-
-
 # ---------------------------------------------------------------------- free space
 
 
