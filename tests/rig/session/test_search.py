@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from scipy.optimize import brentq
 
 from rig.core.errors import ConfigError
 from rig.session import search
@@ -379,19 +378,6 @@ def test_no_limit_lies_below_zero_or_outside_its_interval(verdicts: Any, share: 
     if verdicts:
         assert max(found.low, LEVELS[0]) <= found.value <= min(found.high, LEVELS[-1])
     assert psychometric.interval(LEVELS, verdicts, share)[0] >= 0.0
-
-
-@settings(max_examples=40)
-@given(st.floats(0.05, 0.95), st.floats(100.0, 900.0), st.floats(1.0, 200.0))
-def test_the_level_of_a_share_is_where_the_function_has_it(
-    share: float, threshold: float, spread: float
-) -> None:
-    observer = Observer(threshold=threshold, spread=spread)
-    level = observer.level_of(share)
-    root = brentq(
-        lambda k: float(psychometric.share_stable(k, threshold, spread)) - share, level - 500, level + 500
-    )
-    assert level == pytest.approx(root, abs=1e-6)
 
 
 # ---------------------------------------------------------------------- refusals

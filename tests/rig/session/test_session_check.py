@@ -18,13 +18,10 @@ from rig.config import override
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.present import plain
-from rig.doctor.pace import Pace
-from rig.experiments.trials.plan import predict_impact
 from rig.session.engine._check import check
 from rig.session.engine._device_checks import device_checks
 from rig.session.engine._directory import LOG
 from rig.session.engine._hits import DeviceRunner
-from rig.session.engine._pace import pace_checks
 from rig.session.planning import _disk as disk
 from rig.session.planning._conditions import Walls, base_of
 from rig.session.planning._disk import refuse_full_disk
@@ -32,9 +29,8 @@ from rig.session.planning._expected import ExpectedRange, expected_trials
 from rig.session.planning._load import as_mapping, load_protocol
 from rig.session.planning._plan import StudyPlan
 from rig.session.planning._protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
-from rig.session.planning._schedule import levels_of
 from rig.session.planning._template_files import DEFAULT, template_names, write_template
-from rig.session.planning._times import QUESTION_S, REHEARSED_TICK_S, heat_of, trial_times
+from rig.session.planning._times import QUESTION_S, heat_of, trial_times
 from tests.conformance.studies import Person, sitting, without_sync, write_study
 from tests.conformance.tiers import first_by_default
 
@@ -183,21 +179,6 @@ def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Proto
     assert not found.ok
 
 
-def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, schemes: Protocol) -> None:
-    effort = check_named(plan, "peak effort")
-    assert effort.outcome is Outcome.WARNING
-    assert effort.remedy.startswith("expected briefly at impact")  # the push itself is light enough
-    base = base_of(schemes, Path())
-    walls = [
-        Walls(schemes, base).at(condition, 0.2, level)
-        for condition in schemes.condition
-        for level in levels_of(schemes.search)
-    ]
-    bent = [x for x in walls if predict_impact(x).peak_effort > x.rig.limits.effort]
-    assert 0 < len(bent) < len(walls)
-    assert f"for example uniform 20 kHz, K = {bent[0].wall.stiffness:g} N·m/rad" in effort.text
-
-
 def test_a_device_is_asked_for_its_rate_only_when_it_is_named(
     schemes: Protocol, plan: StudyPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,30 +191,6 @@ def test_a_device_is_asked_for_its_rate_only_when_it_is_named(
     assert asked.outcome is Outcome.REFUSED  # in real time, as a session with a person runs it
     assert "20000 Hz" in asked.text
     assert "rehearse" in asked.remedy
-
-
-@pytest.mark.exhaustive("::test_every_template_passes_on_its_preset")
-def test_the_first_template_fits_the_simulated_rig_in_real_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lost = Pace(rate_hz=1000, lost_share=0.02, longest_gap_s=0.003, hopeless=False, kept_hz=250)
-    monkeypatch.setattr(DeviceRunner, "pace", lambda *_: lost)  # how busy this machine is, is no matter here
-    planned = template(DEFAULT, tmp_path)
-    found = check(planned, tmp_path, of_device=partial(device_checks, "sim://"))
-    assert found.ok
-    assert check_named(found, "device rate").outcome is Outcome.OK
-    assert check_named(found, "samples").outcome is Outcome.WARNING
-    assert "run at 250 Hz" in check_named(found, "samples").remedy
-    monkeypatch.setattr(DeviceRunner, "pace", lambda *_: replace(lost, hopeless=True))
-    (hopeless,) = pace_checks(Walls(planned, base_of(planned, tmp_path)), DeviceRunner(realtime=True))
-    assert hopeless.outcome is Outcome.REFUSED
-
-
-def test_a_wall_has_the_seed_of_the_study(schemes: Protocol) -> None:
-    """Trials use the same seed, so a simulated device started for the checks also serves the trials."""
-    seeded = replace(schemes, study=replace(schemes.study, seed=3))
-    walls = Walls(seeded, base_of(seeded, Path()))
-    assert {walls.softest(one).trial.seed for one in seeded.condition} == {3}
 
 
 def test_a_condition_without_theory_has_a_note(schemes: Protocol) -> None:
@@ -324,8 +281,3 @@ def test_the_motor_begins_no_hit_warmer_than_it_may(schemes: Protocol, share: fl
     assert found.peak <= share + found.after_one
     assert (found.first_pause > 0) == (found.pauses > 0) == (found.cooling_s > 0.0)
     assert found.pauses < trials
-
-
-def test_a_rehearsal_costs_by_its_ticks(plan: StudyPlan, schemes: Protocol) -> None:
-    ticks = 20_000 * plan.trial.recorded * (plan.trials.likely - plan.practice)
-    assert plan.rehearsal_s.likely == pytest.approx(REHEARSED_TICK_S * ticks)

@@ -4,6 +4,7 @@ The console is the real child process; the session's side is a `ConsoleDesk` in 
 """
 
 import errno
+import itertools
 import os
 import signal
 import sys
@@ -12,6 +13,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ import pytest
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.core.sample import Phase
 from rig.session.engine._desk import DeskView, Question
+from rig.session.terminal import _child as child
 from rig.session.terminal.desk import ConsoleDesk, at_console
 from tests.conformance.started import is_alive
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
@@ -205,30 +208,27 @@ def test_a_console_whose_session_is_gone_gives_the_terminal_back(terminal: Termi
         assert_given_back(terminal)
 
 
-@pytest.mark.parametrize("refused", ["file", "pipe", "second pipe", "Popen", "Thread"])
+@pytest.mark.parametrize(
+    ("name", "works"),
+    [
+        ("tempfile.TemporaryFile", 0),
+        ("os.pipe", 0),
+        ("os.pipe", 1),
+        ("subprocess.Popen", 0),
+        ("threading.Thread", 0),
+    ],
+)
 def test_a_console_that_does_not_start_leaves_nothing(
-    refused: str, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+    name: str, works: int, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    real, calls = attrgetter(name)(child), itertools.count()
+
     def refuse(*given: Any, **more: Any) -> Any:
-        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        if next(calls) == works:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        return real(*given, **more)
 
-    answers = iter([os.pipe, refuse])
-
-    def second() -> Any:
-        return next(answers)()
-
-    module = "rig.session.terminal._child"
-    match refused:
-        case "Popen":
-            monkeypatch.setattr(f"{module}.subprocess.Popen", refuse)
-        case "Thread":
-            monkeypatch.setattr(f"{module}.threading.Thread", refuse)
-        case "second pipe":
-            monkeypatch.setattr(f"{module}.os.pipe", second)
-        case "pipe":
-            monkeypatch.setattr(f"{module}.os.pipe", refuse)
-        case _:
-            monkeypatch.setattr(f"{module}.tempfile.TemporaryFile", refuse)
+    monkeypatch.setattr(f"{child.__name__}.{name}", refuse)
     before = sorted(os.listdir("/proc/self/fd"))
     with pytest.raises(RigError, match="cannot be started: Too many open files") as caught:
         ConsoleDesk(place=Path(terminal.path))

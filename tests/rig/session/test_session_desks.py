@@ -1,6 +1,5 @@
 """A session's desk for its operator: the same behaviour at a terminal and at a page of the console."""
 
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -13,7 +12,6 @@ from rig.core.sample import Phase
 from rig.realtime.hand import SharedHand, Wish
 from rig.session.engine._desk import Action, DeskView, Question
 from rig.session.planning._protocol import Keys
-from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._pointer import HandKind
 from tests.conformance.terminal import PATIENCE_S
 from tests.rig.session.session_desks import PLACES, Place, answered, until, watched
@@ -180,25 +178,3 @@ def test_the_hand_follows_the_keys_but_not_those_in_a_note_and_is_back_before_a_
 def test_a_key_that_moves_the_hand_means_nothing_else(sit: Sit, hand: SharedHand) -> None:
     with pytest.raises(ConfigError, match=r"go = 'right': this key already moves the simulated hand"):
         sit(Keys(go="right"), hand=("keyboard", hand.path))
-
-
-@pytest.mark.exhaustive("tests/rig/session/test_session_console.py::test_a_stuck_key_answers_no_question")
-@pytest.mark.parametrize("sit", ["terminal"], indirect=True)
-def test_a_key_that_repeats_from_before_the_question_judges_nothing_until_it_was_released(
-    sit: Sit, asker: ThreadPoolExecutor
-) -> None:
-    place = sit()
-    place.desk.show(DeskView(state="hold"))
-    place.sees("hold")
-    place.press("1")
-    place.sees("not possible now")
-    reply = asker.submit(place.desk.ask, VERDICT)
-    place.sees("the verdict?")
-    place.press("1")
-    place.sees("held down before the question;")
-    for _ in range(2):  # as a stuck pedal does
-        place.press("1")
-    assert not reply.done()
-    threading.Event().wait(RELEASED_S + 0.1)
-    place.press("1")
-    assert answered(reply) == ("judge", "stable")

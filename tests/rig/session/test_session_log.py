@@ -265,11 +265,6 @@ def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path: Path, pla
         ]  # there was nothing to interrupt any more
 
 
-def test_the_logs_own_words_are_not_the_callers(tmp_path: Path) -> None:
-    with SessionLog(tmp_path / "log") as log, pytest.raises(ValueError, match="after"):
-        log.append("x", after=1)
-
-
 @pytest.mark.parametrize(
     ("value", "kept"), [(float("nan"), None), ((1.0, {"x": float("inf")}), [1.0, {"x": None}])]
 )

@@ -14,10 +14,6 @@ from rig.session.engine._run import rehearsal_desk, run_session
 from rig.session.planning._items import describe_item, parse_answer
 from rig.session.planning._load import as_mapping, protocol_from_mapping
 from rig.session.planning._protocol import Item, Protocol
-from rig.session.planning._trial import trial_of
-from tests.conformance.studies import Person as SimulatedPerson
-from tests.conformance.studies import protocol as study_mapping
-from tests.conformance.studies import sitting
 from tests.rig.session.session_fakes import FakeRunner, protocol_of, study
 from tests.system.session_study import PROTOCOL
 
@@ -100,15 +96,6 @@ def test_a_question_its_choices_and_what_is_fitted_are_names_too() -> None:
         for name, fit in (("a", "damper"), ("b", "damper "))
     ]
     assert len({one.fit for one in protocol_of(condition=fits, order={"blocks": "condition"}).condition}) == 1
-
-
-def test_a_log_from_before_reads_as_if_its_names_had_been_normalised(tmp_path: Path) -> None:
-    mapping = study_mapping()
-    person = SimulatedPerson(threshold=lambda condition, damping: 430.0)
-    with sitting(tmp_path / "P01", mapping, person) as one:
-        one.run(trials=1)
-        content = {**one.log.events[-2].content, "condition": f"dual{NBSP}"}
-    assert trial_of(content).condition == "dual"
 
 
 def test_a_code_is_a_name_as_well(tmp_path: Path) -> None:

@@ -22,9 +22,7 @@ from rig.session.planning._load import (
     protocol_from_mapping,
 )
 from rig.session.planning._protocol import Protocol
-from rig.session.planning._rules import settings_schema
 from rig.session.planning._template_files import SCHEMA, template_names, write_template
-from rig.session.search import RULES
 from tests.conformance.tiers import first_by_default
 
 TEXT = """
@@ -173,7 +171,6 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ({"study.blind": "everybody"}, 'must be one of "both", "operator", "participant", "none"'),
         ({"study.participants": 0}, "≥ 1 and ≤ 10000"),
         ({"study.participants": 12.0}, "write a whole number in this range"),
-        ({"study.seed": -1}, "study.seed = -1"),
         ({"study.experiment": "rig.toml"}, "only one of the two may name the rig"),
         (
             {"study.changes": {"wall.side": [1]}},
@@ -181,16 +178,11 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ),
         ({"condition": []}, "[[condition]]: is missing"),
         ({"condition": {"name": "x"}}, "write [[condition]]"),
-        ({"condition.1.name": ""}, 'condition 2.name = ""'),
         ({"condition.1.name": "Uniform"}, "is used more than once"),
         ({"condition.1.damping": []}, "a list of numbers in N·m·s/rad or N·s/m, at least one"),
-        ({"condition.1.damping": 0.5}, "write numbers in brackets"),
         ({"condition.1.damping": [0.0, "x"]}, 'condition 2.damping = [0.0, "x"]'),
         ({"condition.1.damping": [0.1, -0.1]}, "must not contain a damping below 0"),
-        ({"condition.1.damping": [0.1, 0.1]}, "more than once"),
         ({"condition.0.scheme": "dual:20k"}, "sampling has two, for position and velocity"),
-        ({"condition.0.scheme": "triple:20k"}, "condition 1.scheme"),
-        ({"condition.1.search": {"lowest": 5}}, "condition 2.search.highest: is missing"),
         (
             {"condition.1.search": {"lowest": 9, "highest": 5, "step": 1}},
             "must be below condition 2.search.highest, 5",
@@ -198,16 +190,12 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ({"search.lowest": 0}, "search.lowest = 0: must be a number > 0"),
         ({"search.ratio": 1.1}, "only one of the two may give the distance"),
         ({"search.step": 1e-6}, "choose a larger step"),
-        ({"search.step": 1e6}, "choose a smaller step"),
         ({"search.rule": "stairs"}, "did you mean staircase?"),
         ({"search.settings": {"turn": 3}}, "did you mean turns?"),
         ({"search.settings": {"seed": 3}}, "the seed by study.seed"),
         ({"search.settings": {"levels": [1, 2]}}, "set levels by lowest, highest"),
         ({"search.settings": {"turns": 1}}, "turns = 1 is not a whole number from 2 to 1000"),
         ({"search.settings": {"steps": ["a"]}}, 'steps = ["a"]: must be a list of whole numbers'),
-        ({"search.settings": {"steps": 3}}, "must be a list of whole numbers"),
-        ({"search.settings": {"turns": "3"}}, "must be a whole number"),
-        ({"search.settings": {"start": float("inf")}}, "must be a number"),
         ({"search.settings": {"start": 5}}, "start = 5 is not one of the levels"),
         ({"order.repeats": 1000, "condition.0.damping": list(range(10))}, "allowed are at most 10000"),
         ({"caps.stiffness": 500}, "search.highest = 600: must be at most caps.stiffness, 500"),
@@ -218,7 +206,6 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
             {"trial.press": [0.3, 0.1]},
             "trial.press = [0.3, 0.1]: must be two numbers not below 0, the lower first",
         ),
-        ({"trial.impact_speed": [-0.1, 0.3]}, "must be two numbers"),
         (
             {"trial.press": [0.1, 0.3], "trial.kind": "constant-effort"},
             'but the motor hits (trial.kind = "constant-effort"); omit it',
@@ -226,20 +213,15 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ({"study.code": "[A-Z"}, "is not a regular expression"),
         ({"study.code": ".*"}, "names of people"),
         ({"study.code": "[A-Z]{4}"}, "matches 'ANNA'"),
-        ({"study.code": "[A-Z][a-z]+"}, "names of people"),
-        ({"study.code": "anna[0-9]{2}"}, "names of people"),
         ({"question": [{"name": "a b", "text": "?"}]}, "it names a column"),
         ({"question": [{"name": "a", "text": "?", "lowest": 7, "highest": 1}]}, "above lowest, 7"),
         ({"question": [{"name": "a", "text": "?", "kind": "choice"}]}, "two or more different answers"),
-        ({"question": [{"name": "a", "text": "?", "choices": ["x"]}]}, "is not used by a question"),
         (
             {"question": [{"name": "a", "text": "?", "kind": "choice", "choices": ["2", "1"]}]},
             "the number of another choice",
         ),
-        ({"question": [{"name": "a", "text": "?"}, {"name": "A", "text": "?"}]}, "more than once"),
         ({"keys.stable": "ab"}, "is not the name of a key"),
         ({"sudy": {}}, "did you mean study?"),
-        ({"rest": 3}, "rest = 3: must be a table with every, seconds"),
     ],
 )
 def test_an_error_has_key_range_and_remedy(changes: dict[str, Any], words: str) -> None:
@@ -265,14 +247,12 @@ def test_all_errors_are_listed_at_once(tmp_path: Path) -> None:
     ("changes", "words"),
     [
         ({"study.preset": "koul-complaint"}, "did you mean koul-compliant?"),
-        ({"study.preset": 3}, "study.preset = 3"),
         ({"study.changes": {"operator.pres": 1.5}}, "is not a key of an experiment; did you mean press?"),
         ({"study.changes": {"wall.stiffness": 5.0}}, "is set by [search]"),
         ({"condition.0.changes": {"trial.kind": "human"}}, "is set by trial.kind of the protocol"),
         ({"study.changes": {}}, "operator.press"),  # pushes harder than a person's motor may
         ({"condition.0.scheme": "dual:20k/3k"}, 'condition 1, "uniform": cannot be run'),
         ({"condition.0.scheme": "uniform:20k,estimator=kalmann"}, "did you mean kalman?"),
-        ({"condition.0.scheme": "uniform:20k,cutof_hz=3"}, "cutof_hz"),
         ({"search.highest": 5000}, "cannot be run at K = 5000 N·m/rad"),
         ({"caps.effort": 3.0}, "must be at most rig.limits.effort of the rig, 1.3 N·m"),
         ({"practice.stiffness": [9000]}, "cannot be run at K = 9000 N·m/rad"),
@@ -349,9 +329,7 @@ def test_any_table_at_all_is_a_protocol_or_one_typed_error(table: Any) -> None:
     ("pattern", "code"),
     [
         ("P[0-9]{2}", "P01"),
-        ("P[0-9]{2}", "P99"),
         ("SUB[0-9]{2}", "SUB07"),
-        ("sub-[0-9]+", "sub-07"),
         ("(PILOT|MAIN)[0-9]", "PILOT3"),
         ("(?i:pilot)[0-9]", "PILOT3"),
         ("[A-Z]{2}[0-9]{2}", "AS85"),
@@ -378,18 +356,13 @@ def test_a_pattern_that_allows_names_is_refused(pattern: str, code: str) -> None
     ("code", "words"),
     [
         ("Anna", "looks like a name"),
-        ("jean-paul", "looks like a name"),
         ("Anna Schmidt", "spaces"),
         ("anna@lab.org", "e-mail"),
         ("../P01", "parts of a path"),
-        ("P01/x", "parts of a path"),
-        ("..", "parts of a path"),
         (".P01", "parts of a path"),
         ("P01\n", "control characters"),
-        ("", "1 to 32 characters"),
         ("P" * 40, "1 to 32 characters"),
         ("P1", "does not match the study's pattern P[0-9]{2}"),
-        ("P001", "does not match"),
     ],
 )
 def test_a_code_that_identifies_a_person_is_refused(code: str, words: str) -> None:
@@ -439,7 +412,6 @@ def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
         ({"study.titel": "x"}, "$.study", "'titel' was unexpected"),
         ({"study.participants": 0}, "$.study.participants", "0 is less than"),
         ({"search.settings": {"turn": 3}}, "$.search.settings", "'turn' was unexpected"),
-        ({"search.settings": {"turns": "3"}}, "$.search.settings.turns", "'3' is not of type 'integer'"),
         ({"search.rule": "psi", "search.settings": {"turns": 3}}, "$.search", "'turns' was unexpected"),
     ],
 )
@@ -449,23 +421,10 @@ def test_an_editor_underlines_what_is_refused(changes: dict[str, Any], place: st
     assert reason in fault.message
 
 
-def test_every_setting_of_a_rule_has_its_meaning_in_the_schema() -> None:
-    for name in RULES:
-        settings = settings_schema(name)["properties"]
-        assert settings, name
-        for key, one in settings.items():
-            assert one["description"].endswith("."), (name, key)
-
-
 def test_another_schema_beside_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / SCHEMA).write_text("mine")
     assert write_template("koul-fig6", tmp_path / "study.toml") is None
     assert (tmp_path / SCHEMA).read_text() == "mine"
-
-
-def test_duplicate_names_are_quoted_as_written() -> None:
-    text = refusal({"condition.0.name": "Dual rate", "condition.1.name": "dual Rate"})
-    assert '"Dual rate" and "dual Rate"' in text
 
 
 def test_a_template_overwrites_nothing_and_has_its_name(tmp_path: Path) -> None:

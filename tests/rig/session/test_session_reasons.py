@@ -13,15 +13,13 @@ from rig.config import presets, verdict_thresholds
 from rig.control import verdict
 from rig.control._measure import NUMBERS
 from rig.control.verdict import INVALID as MAKES_INVALID
-from rig.control.verdict import TOGGLES, Objection, Opening
+from rig.control.verdict import TOGGLES, Objection
 from rig.core.errors import GuardError
 from rig.core.present import plain
 from rig.session.engine._conduct import conduct
 from rig.session.engine._desk import DeskView
-from rig.session.engine._log import Event
 from rig.session.engine._run import summary
-from rig.session.engine._telling import line_of_event, whole_line
-from rig.session.planning._reasons import _ADVICE, HIDDEN, RIG_LIMIT, summarise_reasons
+from rig.session.planning._reasons import HIDDEN, RIG_LIMIT, summarise_reasons
 from tests.rig.session.session_fakes import (
     INVALID,
     SPOILED,
@@ -60,11 +58,6 @@ def test_every_reason_is_shown_and_effort_only_as_a_rig_limit(objection: Objecti
     assert (shown == RIG_LIMIT) == bool(objection & OF_THE_RIG)
     assert not re.search(r"4179|calm|saturat|slew|settl|ripple", shown)
     assert summarise_reasons([text], blind=False) == text
-
-
-def test_each_opening_identifies_one_reason_with_one_advice() -> None:
-    assert set(_ADVICE) == set(Opening)
-    assert all(one == other or not one.startswith(other) for one in Opening for other in Opening)
 
 
 @pytest.mark.parametrize(
@@ -159,30 +152,6 @@ def test_a_log_is_shown_as_text_and_json_with_walls_only_unblinded(
     assert "began; fakes, row 0 of the order" in unblinded
     assert "opened; koul-rigid (simulated)" in unblinded
     assert '"stiffness"' in show("--json", "--unblind")
-
-
-@pytest.mark.parametrize(
-    ("kind", "content", "whole"),
-    [
-        (
-            "opened",
-            {
-                "device": "koul", "simulated": False, "serial_number": "7",
-                "armed_anyway": [{"condition": "dual", "damping": 0.37, "stiffness": [400.0, 412.5]}],
-            },
-            "; koul (real, serial number 7); armed anyway: dual, B = 0.37, K = 400, 412.5",
-        ),
-        ("pulse", {"said": "it moves", "checks": ["direction: K as it is", "inertia: fine"]},
-         "; direction: K as it is; inertia: fine"),
-        ("stopped", {"reason": "an error", "detail": "K = 412 is too much\n  choose less"},
-         "; K = 412 is too much choose less"),
-        ("note", {"text": "a note"}, ""),
-    ],
-)  # fmt: skip
-def test_the_unblinded_line_of_an_event_has_more(kind: str, content: Any, whole: str) -> None:
-    event = Event(5, 0.0, kind, content)
-    assert whole_line(event, "rotary") == line_of_event(event) + whole
-    assert not whole or not re.search(r"K =|K as|0\.37|41", line_of_event(event))
 
 
 def test_no_question_and_no_pause_reveals_the_wall_to_a_blinded_operator(tmp_path: Path) -> None:
