@@ -6,7 +6,6 @@ import math
 import runpy
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,8 +16,6 @@ from click.testing import CliRunner
 
 import rig.session as rig_session
 from rig.cli import rig
-from rig.config import as_mapping, override, presets
-from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.extras.study import (
     AnalysisOptions,
@@ -28,12 +25,11 @@ from rig.extras.study import (
     read_study,
     write_study_tables,
 )
-from rig.extras.study import trials as trials_module
 from rig.extras.study.cli_analyse import show
 from rig.extras.study.trials import answers, half_way, levels
 from rig.session.engine._log import SessionLog
 from rig.session.search._rule import verdicts_of
-from tests.conformance.studies import PRESET, VERSIONS, Person, protocol, sitting, without_sync, write_study
+from tests.conformance.studies import VERSIONS, Person, protocol, sitting, without_sync, write_study
 from tests.conformance.tiers import first_by_default
 
 EXAMPLE = Path(rig_session.__file__).parent / "examples" / "from_tables.py"
@@ -79,19 +75,6 @@ def one_session(where: Any, mapping: Any = None, who: Any = None, **options: Any
 
 
 # ---------------------------------------------------------------------- what is there is found
-
-
-def test_differences_without_an_interval_are_counted_in_a_message(found: Any) -> None:
-    assert not any("rounding to levels" in message for message in found.messages)
-    same = [
-        replace(
-            one, low=math.nan, high=math.nan, p=math.nan, holm=math.nan, problem="the differences are alike"
-        )
-        for one in found.paired
-        if one.measure == "rule"
-    ]
-    (message,) = [m for m in replace(found, paired=tuple(same)).messages if "rounding to levels" in m]
-    assert message.startswith("1 paired difference has no interval and no p")
 
 
 def test_each_persons_limit_is_found(found: Any) -> None:
@@ -199,22 +182,6 @@ def test_the_same_logs_give_the_same_numbers(tmp_path: Path) -> None:
     found = analyse([tmp_path])
     again = analyse([tmp_path / "P02", tmp_path / "P01" / "session.log", tmp_path / "P03"])
     assert json.dumps(again.as_mapping()) == json.dumps(found.as_mapping())
-
-
-@pytest.mark.parametrize(
-    ("scheme", "words"),
-    [
-        (None, None),
-        ("uniform:20k", None),
-        ("uniform:20k,cutoff_hz=1000", None),
-        ("dual:20k/2k,estimator=of-another-package,gain=3", "dual 20/2 kHz, of-another-package, gain 3.0"),
-    ],
-)
-@pytest.mark.parametrize("cutoff", ["as-in-the-paper", "same"])
-def test_a_scheme_is_named_as_in_a_legend(scheme: str | None, words: str | None, cutoff: str) -> None:
-    experiment = override(presets.load(PRESET), {"controller.scheme_cutoff": cutoff})
-    words = words or (Scheme.parse(scheme) if scheme else Scheme.of(experiment)).label(experiment)
-    assert trials_module._scheme_words(scheme, as_mapping(experiment)["controller"]) == words
 
 
 @pytest.mark.usefixtures("quick")

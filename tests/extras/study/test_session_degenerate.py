@@ -12,7 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.extras.study import StudyAnalysis, analyse, write_study_tables
-from rig.extras.study.plots import pictures
 from rig.extras.study.report import render
 from tests.conformance.studies import Person, protocol, write_study
 from tests.conformance.tiers import first_by_default
@@ -87,18 +86,6 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
     assert render(found, {})
     if len(of) < 3 or len({one.threshold("dual", 0.0) for one in of.values()}) == 1:
         assert reported_inferences(found) == []
-
-
-@pytest.mark.exhaustive(
-    "tests/extras/study/test_session_report.py::test_pictures_are_drawn_with_units_in_their_labels"
-)
-@pytest.mark.parametrize("name", ["equal", "judged by the machine"])
-def test_a_degenerate_study_has_its_pictures(name: str, tmp_path: Path) -> None:
-    sections, of = CASES[name]
-    write_study(tmp_path, protocol(**{"search": {"step": 50.0}, "order": {"repeats": 1}, **sections}), of)
-    found = analyse([tmp_path])
-    for draw in pictures(found).values():
-        draw(found).draw_without_rendering()
 
 
 @pytest.mark.exhaustive("::test_a_degenerate_study_has_its_tables_and_its_report")

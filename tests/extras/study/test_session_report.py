@@ -5,7 +5,6 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,12 @@ from click.testing import CliRunner
 from rig.cli import rig
 from rig.config._sections import OSCILLATIONS
 from rig.config._table import parameters
-from rig.core.present import Table
 from rig.extras.study import AnalysisOptions, analyse, cli_report
 from rig.extras.study.plots import draw_study, pictures, tracks_name
 from rig.extras.study.report import NUMBERS, PAGE, numbers, render, write_session_report
 from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
-from rig.extras.study.report_tables import drop_empty_columns, psychometric, summarise_differences
+from rig.extras.study.report_tables import summarise_differences
 from rig.session.engine._state import SessionState
 from rig.session.search._psychometric import LAPSE_RATES
 from rig.views.plots import style
@@ -118,18 +116,6 @@ def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
     assert "@media print" in page
     for name in ("Uniform", "nan", "None", "Traceback"):
         assert not re.search(rf"\b{name}\b", read.text)
-
-
-def test_the_first_page_has_the_results_alone(page: Any, found: Any) -> None:
-    """It has a summary, the picture, the means and their limitations; in print the rest begins on a new page."""
-    first, rest = page.split('<section id="kmax">')
-    assert ParsedPage(page).ids[0] == "results"
-    assert first.count("<table>") == 1
-    assert first.count("<img ") == 1
-    assert all(message in " ".join(first.split()) for message in map(escape, found.messages))
-    assert "p (Holm)" in first
-    assert rest.count("<table>") > 10
-    assert "#results { break-after: page; }" in page
 
 
 def test_below_three_participants_there_is_no_p_no_interval_over_them_and_one_sentence_why(
@@ -353,28 +339,6 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return one_person(tmp_path_factory.mktemp("alone"))
 
 
-def test_no_column_is_dashes_only(found: Any, alone: Any, tmp_path: Path) -> None:
-    for some in (found, alone, one_person(tmp_path, repeats=2)):
-        read = ParsedPage(render(some, {}))
-        for head, *rows in read.tables:
-            for number, name in enumerate(head):
-                assert not rows or any(row[number] != "–" for row in rows), (name, head)
-
-
-def test_a_missing_slope_is_a_sentence_and_no_row(alone: Any) -> None:
-    read = ParsedPage(render(alone, {}))
-    assert all(one.problem for one in alone.slopes)
-    assert "No slope of limit (rule) per place in the block" in " ".join(read.text.split())
-    assert not any("slope" in head or head[0] == "of" for head, *_ in read.tables)
-
-
-def test_a_table_keeps_its_columns_where_a_single_cell_says_something() -> None:
-    table = Table(("who", "when", "a", "b"), [("P01", "–", "–", "–"), ("P02", "–", "1", "–")], "c", words=2)
-    assert drop_empty_columns(table) == Table(["who", "a"], [["P01", "–"], ["P02", "1"]], "c", words=1)
-    empty = Table(("who", "a"), [], "c")
-    assert drop_empty_columns(empty).head == ["who", "a"]
-
-
 @pytest.mark.parametrize("trials", [0, 1])
 def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path) -> None:
     with without_sync(), sitting(tmp_path / "P01", make_protocol(), person()) as one:
@@ -443,31 +407,6 @@ def test_an_order_is_balanced_where_each_row_is_there_equally_often(
     write_study(tmp_path, protocol(order={"repeats": 1}, search={"step": 200.0}), sessions)
     texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
     assert sentence in texts["Order and blinding"]
-
-
-@pytest.mark.parametrize(("drive", "is_damped"), first_by_default([("voltage", True), ("current", False)]))
-def test_the_damping_of_a_voltage_drive_is_reported(drive: str, is_damped: bool, tmp_path: Path) -> None:
-    changes = {"rig.amplifier.drive": drive, "operator.press": 2.0}
-    write_study(tmp_path, protocol(study={"changes": changes}, search={"step": 200.0}), {"P01": person()})
-    texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
-    assert ("back-EMF damped the handle by 0.0253 N·m·s/rad" in texts["Apparatus"]) is is_damped
-
-
-def test_lapse_rates_that_no_verdict_shows_and_intervals_that_are_absent_are_dashes(found: Any) -> None:
-    functions = [
-        replace(
-            one,
-            lapse_rate=replace(one.lapse_rate, mean=mean),
-            threshold=replace(one.threshold, low=math.nan, high=math.nan),
-        )
-        for one, mean in zip(found.psychometrics, (0.0, 0.027, 0.06, math.nan), strict=False)
-    ]
-    changed = replace(found, psychometrics=tuple(functions))
-    rows = psychometric(changed, changed.psychometrics, "").rows
-    assert sorted(row[8] for row in rows) == ["0.0 %", "6.0 %", "–", "–"]
-    assert {row[5] for row in rows} == {"–"}
-    pictures(changed)["psychometric"](changed).draw_without_rendering()
-    assert not re.search(r"\bnan\b", ParsedPage(render(changed, {})).text)
 
 
 @pytest.mark.parametrize(

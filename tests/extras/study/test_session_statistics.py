@@ -30,19 +30,14 @@ def blank(kind: Any, **known: Any) -> Any:
 
 
 def run_row(
-    participant: str = "P01", condition: str = "a", damping: float = 0.0, value: float = 400.0, **changes: Any
-) -> Any:
-    limit = LimitInterval(
-        value=value, low=value - 10, high=value + 10, censored=changes.pop("censored", ""), share=0.5
-    )
+    participant: str = "P01", condition: str = "a", damping: float = 0.0, value: float = 400.0, censored: str = "",
+    **changes: Any,
+) -> Any:  # fmt: skip
+    limit = LimitInterval(value=value, low=value - 10, high=value + 10, censored=censored, share=0.5)
     known = {
-        "participant": participant,
-        "condition": condition,
-        "damping": damping,
-        "limits": {"rule": limit},
-    }
-    known |= {"block": 1, "order": 1, "place": 1, "followed": "person", "state": "complete"}
-    known |= {"middle_trial": 10.0}
+        "participant": participant, "condition": condition, "damping": damping, "limits": {"rule": limit},
+        "block": 1, "order": 1, "place": 1, "followed": "person", "state": "complete", "middle_trial": 10.0,
+    }  # fmt: skip
     return blank(RunRow, **known | changes)
 
 
@@ -88,16 +83,14 @@ def model_of(rows: Any) -> Any:
 
 
 def trial_row(
-    participant: str = "P01",
-    verdict: str = "stable",
-    automatic: str = "stable",
-    passes: bool = True,
+    participant: str = "P01", verdict: str = "stable", automatic: str = "stable", passes: bool | None = True,
     **changes: Any,
-) -> Any:
-    known = {"participant": participant, "condition": "a", "damping": 0.0, "block": 1, "trial": 1}
-    known |= {"practice": False}
-    known |= {"verdict": verdict, "judged_by": "person", "automatic": automatic, "automatic_stable": passes}
-    known |= {"response_time_s": 1.0, "void": "", "aborted": ""}
+) -> Any:  # fmt: skip
+    known = {
+        "participant": participant, "condition": "a", "damping": 0.0, "block": 1, "trial": 1, "practice": False,
+        "verdict": verdict, "judged_by": "person", "automatic": automatic, "automatic_stable": passes,
+        "response_time_s": 1.0, "void": "", "aborted": "",
+    }  # fmt: skip
     return blank(TrialRow, **known | changes)
 
 
@@ -405,17 +398,12 @@ def test_the_mixed_model_is_that_of_the_formula() -> None:
         not in (("P03", 1, 1), ("P05", 3, 4))  # so that order and block differ
     ]
     model = model_of(rows)
-    pandas = import_module("pandas")
-    frame = pandas.DataFrame(
-        {
-            "limit": [row.limits["rule"].value for row in rows],
-            **{
-                key: [getattr(row, key) for row in rows]
-                for key in ("participant", "condition", "order", "block")
-            },
-            "damping": [f"B{row.damping:g}" for row in rows],
-        }
-    )
+    columns = ["participant", "condition", "order", "block"]
+    values = [
+        [row.limits["rule"].value, f"B{row.damping:g}", *(getattr(row, name) for name in columns)]
+        for row in rows
+    ]
+    frame = import_module("pandas").DataFrame(values, columns=["limit", "damping", *columns])
     frame = frame.groupby(["participant", "condition", "damping"], as_index=False).mean()
 
     def fitted(formula: Any, **how: Any) -> Any:
