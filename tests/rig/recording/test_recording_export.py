@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.io import loadmat
 
 from rig.core.errors import RecordingError
 from rig.core.sample import Phase
@@ -45,17 +44,6 @@ def test_long_csv_is_written_in_pieces(tmp_path: Path, monkeypatch: pytest.Monke
     assert frame["device_time"].tolist() == rows["device_time"].tolist()
 
 
-def test_mat_is_read_by_scipy(tmp_path: Path, recording: Recording) -> None:
-    contents = loadmat(export(recording, tmp_path / "trial.mat"))
-    data = contents["data"][0, 0]
-    assert data["count"].dtype == np.int64
-    assert data["count"].shape == (len(recording), 1)
-    assert data["handle_velocity_true"][:, 0].tolist() == recording.column("handle_velocity_true").tolist()
-    assert contents["units"][0, 0]["effort_applied"][0] == "N·m"
-    assert contents["descriptions"][0, 0]["tick"][0] == recording.descriptions["tick"]
-    assert json.loads(contents["header"][0]) == recording.header
-
-
 def test_xy_is_force_over_penetration_in_the_trial(tmp_path: Path, recording: Recording) -> None:
     recording.rows["phase"][:] = Phase.SETTLE
     recording.rows["phase"][3:7] = Phase.TRIAL
@@ -90,10 +78,6 @@ def test_mcap_has_every_row_at_its_time_and_describes_itself(tmp_path: Path, rec
     assert content[2]["velocity"] is None
     assert schemas["rig.rows"]["properties"]["velocity"]["unit"] == recording.units["velocity"]
     assert json.loads(metadata.metadata["header"]) == recording.header
-
-
-def test_names_fit_in_matlab(recording: Recording) -> None:
-    assert all(name.isidentifier() and len(name) <= 31 for name in recording.names)
 
 
 @pytest.mark.parametrize("name", EXPORTERS)
