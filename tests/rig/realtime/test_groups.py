@@ -1,7 +1,5 @@
 """Groups of arguments for kernels: swapped groups, members of a wrong type, and members by position are rejected."""
 
-import ast
-from collections.abc import Iterator
 from typing import Annotated, Any, NamedTuple
 
 import numba
@@ -15,7 +13,6 @@ from rig.loop.layout import SETTINGS, Buffers, SharedRing
 from rig.realtime.groups import Address, Floats, Int, group, type_of
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE, LawPlug
-from rig.realtime.source_files import source_files
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.rigs import rotary_rig
@@ -146,36 +143,3 @@ def test_a_group_is_made_by_keyword_alone_and_whole() -> None:
     with pytest.raises(TypeError, match="place"):
         Wanted(values=np.zeros(1))
     assert wanted()._replace(place=0).place == 0
-
-
-MOST = 12  # parameters of a kernel
-
-
-def kernels() -> Iterator[Any]:
-    """Yield name, parameters and source lines of every function with the decorator `kernel`."""
-    for module, path in source_files().items():
-        text = path.read_text(encoding="utf-8")
-        if "@kernel(" not in text:
-            continue
-        lines = text.splitlines()
-        tree = ast.parse(text)
-        for node in [*tree.body, *(inside for outer in tree.body for inside in getattr(outer, "body", ()))]:
-            if isinstance(node, ast.FunctionDef) and any(
-                isinstance(mark, ast.Call) and getattr(mark.func, "id", "") == "kernel"
-                for mark in node.decorator_list
-            ):
-                parameters = [*node.args.posonlyargs, *node.args.args]
-                yield (
-                    f"{module}.{node.name}",
-                    parameters,
-                    lines[node.decorator_list[0].lineno - 1 : node.end_lineno],
-                )
-
-
-def test_no_kernel_has_more_than_a_dozen_parameters_or_a_wall_of_them() -> None:
-    """A wall of parameters is a signature or call that is exempt from the formatter."""
-    found = list(kernels())
-    assert len(found) > 100
-    wide = [name for name, parameters, _ in found if len(parameters) > MOST]
-    walls = [name for name, _, lines in found if any("fmt:" in line for line in lines)]
-    assert (wide, walls) == ([], [])

@@ -185,29 +185,6 @@ def test_a_kernel_is_loaded_for_the_same_source_in_another_place(
     assert not (tmp_path / "numbas").exists(), "a .numba_config.yaml of the current directory may name it"
 
 
-@pytest.mark.exhaustive("::test_a_kernel_is_loaded_for_the_same_source_in_another_place")
-def test_same_sources_in_another_place_load_the_cache(
-    first: tuple[Project, dict[str, Any]], tmp_path: Path
-) -> None:
-    """A wheel beside a clone, a new checkout, and an edit of a file that no kernel depends on need no compilation."""
-    project, before = first
-    assert (before["value"], before["hits"], before["misses"], before["compiled"]) == (
-        3.0,
-        0,
-        1,
-        [True, False],
-    )
-    elsewhere = Path(shutil.copytree(project.root, tmp_path / "elsewhere"))
-    (elsewhere / "rig" / "command.py").write_text("from rig.law import law\n")
-    for path in elsewhere.rglob("*.py"):
-        os.utime(path, (1e9, 1e9))
-    after = Project(elsewhere, project.cache).run()
-    assert (after["value"], after["hits"], after["misses"], after["compiled"]) == (3.0, 1, 0, [])
-    assert (before["implementations"], after["implementations"]) == (True, False), "the compiler's own needs"
-    assert after["cache"] == before["cache"]
-    assert before["cache"].startswith(project.cache)
-
-
 @pytest.mark.exhaustive("::test_the_key_covers_kernels_and_what_they_import")
 def test_edited_constant_of_an_imported_file_recompiles(first: tuple[Project, dict[str, Any]]) -> None:
     project, before = first
@@ -217,21 +194,6 @@ def test_edited_constant_of_an_imported_file_recompiles(first: tuple[Project, di
     assert before["cache"] != after["cache"]
     assert after["compiled"]
     project.write(gain=2.0)
-
-
-@pytest.mark.exhaustive("::test_cache_that_others_can_write_is_refused_with_one_warning")
-def test_run_goes_without_a_writable_cache_and_without_numbas(project: Project, tmp_path: Path) -> None:
-    """A file in place of the cache directory stops every user, also root.
-
-    numba reads .numba_config.yaml of the current directory before it compiles, and loads pickles from its cache.
-    """
-    (tmp_path / "cache").touch()
-    removed = "import shutil; assert [*kernel.CACHE_DIRECTORY.rglob('*.nbi')]; shutil.rmtree(kernel.CACHE_DIRECTORY)"
-    elsewhere = tmp_path / "numbas"
-    report = project.run(before=f"kernel.numba.config.CACHE_DIR = {str(elsewhere)!r}", after=removed)
-    assert report["value"] == 3.0
-    assert not report["cache"].startswith(project.cache)
-    assert not elsewhere.exists()
 
 
 def test_cache_that_others_can_write_is_refused_with_one_warning(
@@ -322,15 +284,6 @@ def test_key_follows_only_the_sources_of_kernels(
     monkeypatch.setattr(sources, "_read_source", read_edited)
     assert (cache_key(compiled_sources()) != unedited_key()) == recompiles
     assert len(edited) == 1
-
-
-def test_compiled_code_lies_in_its_rooms() -> None:
-    rooms = {".".join(name.split(".")[:2]) for name, path in source_files().items() if is_compiled(path)}
-    simulation = {room for room in rooms if room.startswith("sim_backend.")}
-    allowed = {
-        f"rig.{room}" for room in ("control", "realtime", "loop", "devices", "recording", "doctor", "testing")
-    }
-    assert rooms - simulation <= allowed
 
 
 def is_compiled(path: Path) -> bool:
@@ -530,32 +483,6 @@ def test_an_exception_of_a_part_reaches_the_caller() -> None:
     with pytest.raises(ValueError, match="no root of a negative number") as raised:
         sum_of_roots(0.5)
     assert raised.value.args == ("no root of a negative number", -0.5)
-
-
-WITHOUT_BLAS = """
-import sys
-from rig.core import program
-program.begin()
-import numpy as np
-import rig.loop._host  # declares kernels, and compiles none
-from rig.realtime.kernel import kernel
-
-@kernel("f8(f8)", cache=False)
-def half(x):
-    return 0.5 * x
-
-assert half(3.0) == 1.5
-assert "scipy.linalg" not in sys.modules
-from numba.np import linalg
-linalg.ensure_blas()  # as numba does for a kernel with a matrix product
-assert "scipy.linalg" in sys.modules
-assert sys.modules["numba.np.arraymath"]._HAVE_BLAS  # without one it would compute convolutions by itself
-"""
-
-
-@pytest.mark.exhaustive("::test_modules_without_kernels_do_not_load_the_compiler")
-def test_only_a_kernel_with_linear_algebra_loads_scipys() -> None:
-    subprocess.run([sys.executable, "-W", "error", "-c", WITHOUT_BLAS], check=True, timeout=60)
 
 
 def test_first_call_refuses_a_wrong_type_as_later_calls_do() -> None:

@@ -152,23 +152,6 @@ def test_contexts_in_any_order_hold_until_the_last_one_ends() -> None:
 
 
 @pytest.mark.usefixtures("realtime_rights")
-def test_contexts_of_several_threads_do_not_undo_each_other() -> None:
-    together = threading.Barrier(3)
-
-    def body(_: int) -> bool:
-        for _ in range(4):
-            with obtained(Asked()):
-                if locked() == 0:
-                    return False
-        together.wait(CHILD_S)
-        return True
-
-    with ThreadPoolExecutor(3) as threads:
-        assert list(threads.map(body, range(3))) == [True] * 3
-    assert locked() == 0
-
-
-@pytest.mark.usefixtures("realtime_rights")
 def test_pages_locked_by_other_code_stay_locked() -> None:
     with mmap.mmap(-1, 4 * mmap.PAGESIZE) as region:
         word = np.frombuffer(region, np.uint8)
@@ -259,22 +242,6 @@ def test_off_and_virtual_time_touch_nothing(asked: str, virtual: bool) -> None:
         assert (realtime.report == {}) == virtual
     assert state() == before
     assert all_threads() <= threads
-
-
-@pytest.mark.parametrize("asked", ["try", "off"])
-def test_report_is_json_of_request_result_and_machine(asked: str) -> None:
-    with obtained(Asked(asked, priority=33)) as realtime:
-        report = json.loads(json.dumps(realtime.report))
-    assert report["asked"] == {"realtime": asked, "priority": 33, "cpu": None}
-    assert set(report["obtained"]) == {
-        *("policy", "priority", "cpus", "timer_slack_ns", "locked_bytes", "cpu_latency_us")
-    }
-    assert set(report["machine"]) == {
-        *("kernel", "preemption", "rt_runtime_us", "rt_period_us", "clock_source", "governor")
-    }
-    if asked == "off":
-        assert report["obtained"]["policy"] == "SCHED_OTHER"
-        assert report["refusals"] == []
 
 
 CHILD = """
@@ -377,24 +344,6 @@ def test_enforce_names_all_that_is_missing_and_changes_nothing(ordinary_user: di
     assert found["as before"]
 
 
-@pytest.mark.exhaustive("::test_ordinary_user_runs_with_every_refusal_reported")
-def test_limits_are_enough_without_root() -> None:
-    found = run_in_child(
-        """
-        def body():
-            with obtained(Asked("try")) as realtime:
-                entered = realtime.enter_thread()
-                realtime.leave_thread()
-            return entered.as_mapping(), ThreadState.here().as_mapping()
-        found["entered"], found["after"] = in_thread(body)
-        """,
-        rtprio=90,
-        memlock=resource.RLIM_INFINITY,
-    )
-    assert (found["entered"]["policy"], found["entered"]["priority"]) == ("SCHED_FIFO", 70)
-    assert (found["after"]["policy"], found["after"]["priority"]) == ("SCHED_OTHER", 0)
-
-
 def test_rights_that_went_meanwhile_leave_an_ordinary_thread() -> None:
     """Without rights the kernel keeps the flag "children do not inherit", which has no effect on such a thread."""
     found = run_in_child(
@@ -423,23 +372,6 @@ def test_memory_is_not_locked_near_its_limit(monkeypatch: pytest.MonkeyPatch) ->
     refusal = memory.take()
     assert "memory is not locked: the limit is" in str(refusal)
     assert "memlock unlimited" in refusal.remedy
-
-
-def test_a_control_group_without_a_share_of_real_time_refuses_even_root() -> None:
-    parent = Path("/sys/fs/cgroup/cpu")
-    if not (parent / "cpu.rt_runtime_us").exists() or not os.access(parent, os.W_OK):
-        pytest.skip("this kernel has no shares of real time for control groups (RT_GROUP_SCHED, version 1)")
-    if not Rights.here().may_schedule(Asked().priority):
-        pytest.skip("this process may not schedule in real time anyway")
-    group = parent / f"rig-test-{os.getpid()}"
-    group.mkdir()
-    try:
-        found = run_in_child(TRY, group=str(group), user=0, memlock=None)
-    finally:
-        group.rmdir()
-    assert found["entered"]["policy"] == "SCHED_OTHER"
-    assert f"control group /{group.name} may not run real-time tasks" in found["messages"][0]
-    assert f"sudo tee {group}/cpu.rt_runtime_us" in found["messages"][0]
 
 
 def rights(**changes: object) -> Rights:
