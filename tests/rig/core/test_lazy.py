@@ -12,7 +12,7 @@ import pytest
 import rig
 import rig.testing
 from rig.core import lazy
-from rig.core.lazy import loader, public_names
+from rig.core.lazy import public_names
 from tests.conformance.guides import ROOT
 
 
@@ -73,16 +73,6 @@ def _loaded() -> SimpleNamespace:
 def test_a_name_that_is_not_public_is_no_attribute() -> None:
     with pytest.raises(AttributeError, match="module 'rig' has no attribute 'hti'"):
         _ = rig.hti  # type: ignore[attr-defined]
-
-
-def test_a_stubs_line_may_name_a_module(tmp_path: Path) -> None:
-    (tmp_path / "__init__.pyi").write_text(
-        "from rig.core import errors as errors\nfrom math import pi as tau\n"
-    )
-    table = public_names(str(tmp_path / "__init__.py"))
-    assert table == {"errors": ("rig.core", "errors"), "tau": ("math", "pi")}
-    load = loader("mine", table)
-    assert (load("errors").ConfigError.__name__, load("tau")) == ("ConfigError", 3.141592653589793)
 
 
 @pytest.mark.parametrize(

@@ -56,14 +56,6 @@ def test_a_package_in_place_of_another_is_named_with_its_remedy(
     check_named("serial", tmp_path, *capsys.readouterr())
 
 
-@pytest.mark.exhaustive("::test_a_package_in_place_of_another_is_named_with_its_remedy")
-def test_a_package_that_loads_in_place_of_another_is_named_too(tmp_path: Path) -> None:
-    install(tmp_path, "usb", "other-usb")
-    done = run(tmp_path, "-m", "rig", "device", "show", "usb://1209:0001", "--json")
-    assert done.returncode == 2, done.stderr
-    check_named("usb", tmp_path, done.stdout, done.stderr)
-
-
 OVERWRITTEN = """
 import sys, rig
 for name in ("__all__", "_NAMES"):

@@ -11,10 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.cli import output
 from rig.core.check import Check, Outcome, refuse, refused
 from rig.core.errors import PlanError
-from rig.core.present import Item, Row, Table, plain, reported, written
+from rig.core.present import plain, reported, written
 
 
 class Colour(StrEnum):
@@ -87,30 +86,6 @@ def test_plain_values_are_json_and_plain_again(value: object) -> None:
 )  # fmt: skip
 def test_a_value_is_written_for_people(value: object, text: str) -> None:
     assert written(value) == text
-
-
-def test_a_row_is_value_unit_and_note() -> None:
-    assert Row("peak effort", 1.5, "N·m", "limit 3").text == "1.5 N·m, limit 3"
-    assert Row("file", "a.parquet").text == "a.parquet"
-
-
-def test_the_terminal_aligns_rows_that_follow_each_other(capsys: pytest.CaptureFixture[str]) -> None:
-    items: list[Item] = [
-        "hit",
-        Row("a", 1.0, "s"),
-        Row("longer", "b"),
-        Table(("wall", "K"), [("one", 10.0), ("other", None)]),
-        Check("link", Outcome.REFUSED, "1.2 ms, limit 1 ms", remedy="use USB", why="delay costs stiffness"),
-        Check("motor", Outcome.OK, "fine", remedy="nothing"),
-    ]
-    output.show(items)
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[:3] == ["hit", "  a       1 s", "  longer  b"]
-    assert [line.split() for line in lines[3:6]] == [["wall", "K"], ["one", "10"], ["other", "unknown"]]
-    assert len({len(line) for line in lines[3:6]}) == 1  # numbers end in one column
-    assert [line.strip() for line in lines[6:]] == [
-        "no link: 1.2 ms, limit 1 ms", "delay costs stiffness", "use USB", "ok motor: fine",
-    ]  # fmt: skip
 
 
 def test_refused_checks_raise_with_each_remedy_once() -> None:

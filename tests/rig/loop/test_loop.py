@@ -41,9 +41,6 @@ from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
-from sim_backend.board.device import SimulatedDevice
-from sim_backend.ends.link import MemoryLink
-from tests.conformance.rigs import rotary_rig
 
 SESSION = 7
 PERIOD_NS = 1_000_000
@@ -152,14 +149,6 @@ def test_sample_index_and_device_time_continue_behind_32_bits() -> None:
     assert int(receiver.buffers.progress[0]["device_time"]) == ticks + 5 * 16_000
     assert receiver.feed(state_frame(start)) == 0
     assert receiver.counters["reordered"] == 1
-
-
-def test_the_devices_clock_wraps_within_a_run_of_five_minutes() -> None:
-    """The clock has 32 bits of 1/16 µs, which are 268 s."""
-    receiver = Receiver()
-    for index in range(0, 600_000, 5_000):
-        receiver.feed(state_frame(index))
-    assert int(receiver.buffers.progress[0]["device_time"]) == 595_000 * 16_000
 
 
 def test_noise_without_a_delimiter_is_bounded_and_the_next_frame_is_received() -> None:
@@ -870,24 +859,6 @@ def sent_frames(wire: Any) -> Any:
     except BlockingIOError:
         pass
     return [unpack(decode_frame(frame)) for frame in data.split(b"\0") if frame]
-
-
-def test_virtual_and_real_time_run_the_same_machine_code(wire: Any) -> None:
-    """The loop is compiled once for the types of its plug points, whatever functions are plugged in."""
-    run.prepare()
-    before = list(run.signatures)
-    assert len(before) == 1
-    _, virtual = ran(Script(*ticks(1, 10)))
-    simulated = MemoryLink(SimulatedDevice(rotary_rig()))
-    _, simulation = ran(simulated)
-    for k in range(1, 10):
-        wire.theirs.send(state_frame(k))
-    _, real = ran(wire, lost_after_ns=20_000_000)
-    assert virtual.reason == simulation.reason == real.reason == EndReason.LINK_SILENT
-    assert virtual.counters["ticks"] == 9
-    assert real.counters["frames"] == 9
-    assert run.signatures == before
-    assert len(run.overloads) == 1
 
 
 def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
