@@ -19,6 +19,7 @@ from rig.experiments.mapping import _ranges as ranges
 from rig.experiments.mapping._maps import zwidth
 from rig.experiments.mapping._searches import StiffnessSearch
 from rig.experiments.mapping.zwidth import MapPlan, run_series
+from rig.experiments.mapping.zwidth_frequency import run_column
 from sim_backend.bare import hits
 
 HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "operator.grip": "normal"})
@@ -96,3 +97,18 @@ def test_memory_of_a_map_does_not_grow_with_the_number_of_series(tmp_path: Path)
     grown = (many - few) / (many_hits - few_hits)
     print(f"\npeak of memory: {few / 1e6:.1f} MB for {few_hits} hits, {many / 1e6:.1f} MB for {many_hits}")
     assert grown < 10_000.0  # bytes a hit: its series' description, not its numbers
+
+
+def test_memory_of_a_map_in_the_frequency_domain_is_that_of_a_column() -> None:
+    once = config.override(presets.load("chawda-linear"), {"excitation.realisations": 1})
+    plan = ranges.frequency_plan(once)
+
+    def peak(walls: int) -> Any:
+        tracemalloc.start()
+        run_column({**plan.tasks[0].payload, "stiffnesses": list(plan.stiffnesses[:walls])})
+        _, highest = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return highest
+
+    peak(3)
+    assert peak(30) < peak(3) + 2_000_000

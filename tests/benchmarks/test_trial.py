@@ -1,10 +1,8 @@
-"""Compare the cost of a tick of a simulated trial with the same trial in C and with a general physics engine.
+"""Compare the cost of a tick of a simulated trial with the same trial in C.
 
-Contestants run in turns in one process, in CPU time of the thread; the median of the ratios counts. The C of `trial.c`
-is written for one rig, one estimator and one law, gives the same trajectory to the last bit, and leaves out
-what only other estimators read (the age of the edge in device time). MuJoCo steps the rigid rig as one hinge with
-damping and friction, all steps in one call and without law, sensors or trace: the least a trial could cost with it.
-Ours is measured beside it both ways, as bare steps of the same joint and as whole trials.
+They run in turns in one process, in CPU time of the thread; the median of the ratios counts. The C of `trial.c` is
+written for one rig, one estimator and one law, gives the same trajectory to the last bit, and leaves out what only
+other estimators read (the age of the edge in device time).
 """
 
 import ctypes
@@ -16,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from numba import types
 
 from firmware_protocol.messages import OLDEST_EDGE
 from rig import config
@@ -25,25 +22,16 @@ from rig.control import _wall as wall
 from rig.control import step
 from rig.control.estimators import _fdm_butterworth as fdm_butterworth
 from rig.control.estimators import estimator
-from rig.realtime.kernel import kernel
 from sim_backend.bare.trial import Trace, run_arguments, run_ticks
 from sim_backend.mechanics.operator import OperatorScript
-from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, advance
+from sim_backend.mechanics.plant import DiscretePlant
 
 SOURCE = Path(__file__).with_name("trial.c")
 OPTIONS = ["-std=c99", "-O3", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]  # c99: no contraction to FMA
 MOST_TICKS = 60_000
 PAIRS = 15
 
-# MuJoCo keeps no trace; of a short trial ours stays in the processor's cache.
-SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1}
 STEPS, REPEATS = 2000, 10  # ours several times in a row, to take about as long as MuJoCo's
-PUSHED_TICKS = 4000  # 0.2 s
-_OFF = ("contact", "gravity", "limit", "equality", "actuation", "sensor", "autoreset")
-FAST_MUJOCO = (
-    f"""solver="PGS" jacobian="dense"><flag {" ".join(f'{flag}="disable"' for flag in _OFF)}/></option>"""
-)
-
 PLACES = {
     "RESOLUTION_SIGNED": estimator.RESOLUTION, "PERIOD": estimator.PERIOD,
     **{n: getattr(fdm_butterworth, n) for n in ("B0", "B1", "B2", "A1", "A2")},
@@ -96,15 +84,6 @@ def run_in_numba(law: Any, plant: Any, trace: Any) -> Any:
     return run_ticks(*arguments, trace)
 
 
-def the_rig(name: Any, **changes: Any) -> Any:
-    """Return a preset's model, its plant, and a factory of fresh controllers."""
-    experiment = config.override(presets.load(name), changes)
-    model = config.rig_model(experiment)
-    plant = DiscretePlant.build(model, 1.0 / experiment.controller.position_rate)
-    quantum = experiment.rig.amplifier.current_quantum_a
-    return model, plant, lambda: controller.for_experiment(experiment, current_quantum_a=quantum)
-
-
 def cpu_ns(function: Any, *arguments: Any) -> Any:
     started = time.thread_time_ns()
     function(*arguments)
@@ -112,7 +91,13 @@ def cpu_ns(function: Any, *arguments: Any) -> Any:
 
 
 def test_a_trial_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
-    _, plant, fresh = the_rig("koul-compliant")
+    experiment = presets.load("koul-compliant")
+    plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
+    quantum = experiment.rig.amplifier.current_quantum_a
+
+    def fresh() -> Any:
+        return controller.for_experiment(experiment, current_quantum_a=quantum)
+
     runs = run_in_numba, build_c(tmp_path), build_c(tmp_path, "-march=native")
     trace, other = Trace.empty(MOST_TICKS, plant), Trace.empty(MOST_TICKS, plant)
     ticks = run_in_numba(fresh(), plant, trace)
@@ -129,87 +114,3 @@ def test_a_trial_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
         f"C -O3 {plain:.1f} ns (ratio {ratio:.2f}), with -march=native {native:.1f} ns (ratio {ratio_native:.2f})"
     )
     assert ratio < 2.0  # 1.4 to 1.6 on the processors seen; one call into Python a tick would be ten
-
-
-def in_mujoco(mujoco: Any, model: Any, options: Any) -> Any:
-    """Return the rigid rig as one hinge in MuJoCo: model and data."""
-    mechanics = model.mechanics
-    inertia = mechanics.inertia
-    xml = f"""
-    <mujoco>
-      <option timestep="5e-5" gravity="0 0 0" {options}
-      <worldbody>
-        <body>
-          <joint type="hinge" axis="0 0 1" damping="{mechanics.motor_damping + mechanics.link_damping}"
-            frictionloss="{mechanics.motor_coulomb + mechanics.link_coulomb}"/>
-          <inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>
-        </body>
-      </worldbody>
-    </mujoco>"""
-    hinge = mujoco.MjModel.from_xml_string(xml)
-    return hinge, mujoco.MjData(hinge)
-
-
-@kernel(types.int64(PLANT_TYPE, types.float64, types.int64), cache=False)
-def push(plant: Any, effort: Any, ticks: Any) -> Any:
-    """Move a plant under a constant effort; return the final count."""
-    count = 0
-    for _ in range(ticks):
-        count = advance(plant, effort, 0.0)
-    return count
-
-
-def test_a_step_is_far_quicker_than_one_of_mujoco_and_a_joint_that_sticks_stays() -> None:
-    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
-    model, plant, fresh = the_rig("koul-rigid", **SHORT)
-    coulomb = model.mechanics.motor_coulomb + model.mechanics.link_coulomb
-    trace = Trace.empty(MOST_TICKS, plant)
-    ticks = run_in_numba(fresh(), plant, trace)
-    usual, fast = (in_mujoco(mujoco, model, options) for options in ("/>", FAST_MUJOCO))
-
-    def steps(hinge: Any, data: Any) -> None:
-        mujoco.mj_resetData(hinge, data)
-        data.qfrc_applied[0] = 2.0 * coulomb
-        mujoco.mj_step(hinge, data, nstep=STEPS)
-
-    def our_steps() -> None:
-        for _ in range(REPEATS):
-            push(plant.arguments(plant.at_rest(0.0)), 2.0 * coulomb, STEPS)
-
-    def our_trials(laws: Any) -> None:
-        for law in laws:
-            run_in_numba(law, plant, trace)
-
-    our_steps()
-    times = [
-        (
-            cpu_ns(steps, *usual) / STEPS,
-            cpu_ns(steps, *fast) / STEPS,
-            cpu_ns(our_steps) / (REPEATS * STEPS),
-            cpu_ns(our_trials, [fresh() for _ in range(REPEATS)]) / (REPEATS * ticks),
-        )
-        for _ in range(PAIRS)
-    ]
-    usual_ns, fast_ns, step_ns, tick_ns = (min(column) for column in zip(*times, strict=True))
-
-    def ratio(i: Any, j: Any) -> Any:
-        return statistics.median(row[i] / row[j] for row in times)
-
-    state = plant.at_rest(0.0)
-    for _ in range(PUSHED_TICKS):
-        advance(plant.arguments(state), 0.9 * coulomb, 0.0)
-    hinge, data = usual
-    mujoco.mj_resetData(hinge, data)
-    data.qfrc_applied[0] = 0.9 * coulomb
-    mujoco.mj_step(hinge, data, nstep=PUSHED_TICKS)
-    print(
-        f"\none mass with friction, a step of MuJoCo: {usual_ns:.0f} ns as it comes, {fast_ns:.0f} ns with all that "
-        f"it can do without switched off\nours, with encoder: {step_ns:.1f} ns ({ratio(0, 2):.0f} × and "
-        f"{ratio(1, 2):.0f} ×); a tick of a whole trial, with law and trace: {tick_ns:.1f} ns ({ratio(0, 3):.0f} × and "
-        f"{ratio(1, 3):.0f} ×)\npushed with 0.9 of its friction for 0.2 s: ours moves {state[0]:g} rad, "
-        f"MuJoCo's creeps {data.qpos[0]:.2g} rad, {data.qpos[0] / model.encoder.resolution:.0f} counts"
-    )
-    assert state[0] == 0.0, "stuck means stuck"
-    # 59 to 70 and 33 to 37 on the processors seen; a held plant is a plug point, a state behind one stays in memory
-    assert ratio(1, 2) > 40.0
-    assert ratio(0, 3) > 25.0
