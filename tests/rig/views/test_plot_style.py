@@ -16,7 +16,6 @@ import rig
 from rig.core.errors import RecordingError
 from rig.core.shown import Picture
 from rig.views.plots import style
-from tests.conformance.commands import commands
 from tests.conformance.tiers import first_by_default
 from tests.rig.views.conftest import a_figure
 
@@ -124,18 +123,6 @@ def test_no_other_name_is_written(name: str, tmp_path: Path) -> None:
         style.save(a_figure(), tmp_path / name)
     assert ".png, .svg, .pdf" in caught.value.remedy
     assert list(tmp_path.iterdir()) == []
-
-
-def test_every_command_that_draws_offers_every_format() -> None:
-    drawing = {}
-    for words, command in commands():
-        name = " ".join(words)
-        options = {option: one for one in command.params for option in one.opts}
-        if "--plot" in options or name == "session analyse":
-            drawing[name] = tuple(options["--format"].type.choices)
-    assert set(drawing.values()) == {tuple(style.FORMATS)}
-    least = "hit, zwidth, impedance measure, impedance map, identify, theory walls, recording show, recording timing"
-    assert {*least.split(", "), "recording replay", "estimators compare"} <= set(drawing)
 
 
 # ------------------------------------------------------------------------------------------------------------ axes

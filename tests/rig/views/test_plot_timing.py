@@ -1,7 +1,6 @@
 """The picture of the latency ledger: any ledger can be drawn, without ticks, clocks or elapsed time."""
 
 import itertools
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,9 +27,8 @@ def rows_of(count: Any, *, spread: float = 1.0, seed: int = 1) -> Any:
     stamps = ("device_time", "received_at", "computed_at", "sent_at")
     for (before, name), wait in zip(itertools.pairwise(stamps), noise, strict=False):
         rows[name] = rows[before] + wait.astype(np.int64)
-    rows["received_at"] += 10**12
-    rows["computed_at"] += 10**12
-    rows["sent_at"] += 10**12
+    for name in stamps[1:]:
+        rows[name] += 10**12
     rows["lateness"] = noise[3]
     rows["command_sequence"] = number % 65536
     rows["command_active"] = (number - 2) % 65536
@@ -41,15 +39,6 @@ def rows_of(count: Any, *, spread: float = 1.0, seed: int = 1) -> Any:
 def draw(rows: Any, fit: Any, name: str) -> Picture:
     found = ledger(rows, fit, 1e6)
     return Timing(found, summarise(found, None), name=name).plot()
-
-
-@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
-@pytest.mark.parametrize(("count", "least"), [(500, 40_000), (0, 1)])
-def test_a_ledger_is_painted(count: int, least: int, tmp_path: Path) -> None:
-    drawn = draw(rows_of(count), FIT if count else None, "a run")
-    picture = drawn.save(tmp_path / "x.png").read_bytes()
-    assert picture.startswith(b"\x89PNG")
-    assert len(picture) > least, "curves, bars and a legend"
 
 
 @pytest.mark.parametrize(
