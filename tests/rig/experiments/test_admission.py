@@ -158,11 +158,8 @@ def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(fake_l
         found = examining._with_device(asked, framed, Examination(checks=(), ports=()), lambda *_: None)
     assert found.armable is False
     texts = " ".join(check.text for check in found.admission)
-    assert "cannot run the law itself" in texts
     assert "needs 10000 Hz, and the device supports at most 4000 Hz" in texts
     assert "let the host run it" in found.remedy
-    shown = [item for item in found.items() if getattr(item, "name", "") == "arming"]
-    assert [check.outcome for check in shown] == ["refused"]
 
 
 URL = "serial:///dev/rig"

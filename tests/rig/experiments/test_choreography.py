@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -46,15 +45,15 @@ HELD = config.override(
 RATE = HELD.controller.position_rate
 
 
-def trial(directory: Path, experiment: Any = HELD, begins_s: float = 0.0, progress: Any = None) -> Recording:
+def trial(directory: Path, begins_s: float = 0.0) -> Recording:
     """Run a trial whose simulated person reaches `begins_s` later (negative: earlier) than the experiment assumes."""
-    model = config.rig_model(experiment)
+    model = config.rig_model(HELD)
     assert model.reach is not None
     hurried = replace(model, reach=replace(model.reach, wait_s=model.reach.wait_s + begins_s))
     path = directory / f"{begins_s:g}.rigcap"
-    board, _ = make_device(hurried, None, initial_position=experiment.trial.start)
+    board, _ = make_device(hurried, None, initial_position=HELD.trial.start)
     with FramedDevice(MemoryLink(board)) as device:
-        trial_on(device, experiment, path, progress=progress)
+        trial_on(device, HELD, path)
     return open_recording(path.with_suffix(".parquet"))
 
 

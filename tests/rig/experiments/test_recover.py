@@ -80,13 +80,8 @@ def test_damage_in_the_middle_is_counted(tmp_path: Path) -> None:
     assert (found.complete, found.lost_at_most_s) == (True, pytest.approx(BLOCK / RATE))
 
 
-@pytest.mark.parametrize(
-    ("whole", "kind", "lost_s"),
-    [
-        (True, "monotonic", 0.0),
-        (False, "virtual", None),
-    ],  # in virtual time rows reach the disk by blocks, not by age
-)
+# In virtual time rows reach the disk by blocks, not by age.
+@pytest.mark.parametrize(("whole", "kind", "lost_s"), [(True, "monotonic", 0.0), (False, "virtual", None)])
 def test_the_time_that_a_crash_cost_depends_on_end_and_clock(
     tmp_path: Path, whole: bool, kind: str, lost_s: float | None
 ) -> None:

@@ -108,9 +108,9 @@ def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
         assert found.switch_position is not None
         # The simulated switch stands half of the way between two indices before the index.
         away = 1.0 if end == "minimum" else -1.0
-        resolution = x.rig.encoder.resolution
+        one = x.rig.encoder.resolution
         assert away * (position - found.switch_position) == pytest.approx(
-            0.5 * EVERY * resolution, abs=3 * resolution + look
+            0.5 * EVERY * one, abs=3 * one + look
         )
         limits = x.rig.limits
         assert limits.position_minimum < found.position < limits.position_maximum
@@ -174,7 +174,7 @@ BROKEN = {
     "noise on the index": ({"index_counts": EVERY // 4}, "indices were seen where exactly one is expected"),
     "a lost count": ({"index_counts": EVERY - 40}, f"{EVERY - 40} counts; described are {EVERY}"),
     "a switch beside the index": (
-        {"switch_count": -int(0.31 / (2 * np.pi / 40000))},
+        {"switch_count": -round(0.31 * 40000 / (2 * np.pi))},
         "from the limit switch",
     ),
 }

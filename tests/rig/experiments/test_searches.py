@@ -100,6 +100,7 @@ def test_a_limit_lies_below_every_failure_and_counts_unknown_walls(tried: Any) -
     lowest = min(failures, default=1e9)
     assert found.stiffness == max((k for k, passes in tried.items() if passes and k < lowest), default=0.0)
     assert found.unknown == list(tried.values()).count(None)
+    assert found.capped == (not failures and any(tried.values()))
     for low, high in found.islands:
         assert found.failed_at < low <= high
         assert not any(low <= k <= high for k in failures)
@@ -109,8 +110,3 @@ def test_a_limit_lies_below_every_failure_and_counts_unknown_walls(tried: Any) -
 def test_an_invalid_range_is_refused(wrong: Any) -> None:
     with pytest.raises(ValueError, match=r"range|ratio"):
         StiffnessSearch(**{**RANGE, **wrong})
-
-
-def test_invalid_hits_alone_make_neither_a_limit_nor_a_cap() -> None:
-    found = limit_of(dict.fromkeys([10.0, 20.0, 40.0]))
-    assert (found.stiffness, found.failed_at, found.capped, found.unknown) == (0.0, None, False, 3)

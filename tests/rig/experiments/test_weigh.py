@@ -1,7 +1,6 @@
 """Weighing with a known mass gives the true effort per ampere, whatever the friction, or is rejected."""
 
 import io
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,28 +32,21 @@ def weigh_rig(output: Path, **changes: Any) -> Weighing:
     return weigh(WeighRequest(output=output, **wanted), ask_no_person)
 
 
-def disturb_rig(monkeypatch: pytest.MonkeyPatch, disturb: Callable[[FramedDevice], None]) -> None:
-    opened = devices.open_device
-
-    def open_device(*args: Any, **named: Any) -> FramedDevice:
-        device = opened(*args, **named)
-        disturb(device)
-        return device
-
-    monkeypatch.setattr(devices, "open_device", open_device)
-
-
 @pytest.mark.parametrize("true", first_by_default([0.9, 1.15]))
 def test_a_wrong_constant_is_measured_beside_a_bent_cable(
     true: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The motor gives `true` times the described effort per ampere; a bent cable adds a constant effort."""
 
-    def disturb(device: FramedDevice) -> None:
+    opened = devices.open_device
+
+    def open_device(*given: Any) -> FramedDevice:
+        device = opened(*given)
         hardware = device.link.device.hardware  # type: ignore[attr-defined]
         hardware.drive, hardware.gain, hardware.external_effort = true, 1.0 / true, 0.015
+        return device
 
-    disturb_rig(monkeypatch, disturb)
+    monkeypatch.setattr(devices, "open_device", open_device)
     found = weigh_rig(tmp_path)
     assert found.effort_per_ampere.value == pytest.approx(true * found.described, rel=2e-3)
     assert not found.agrees

@@ -51,21 +51,10 @@ def plan_map(**changes: Any) -> Any:
     return MapPlan(**{**given, **changes})
 
 
-def hits_of(found: Any) -> Any:
-    return json.dumps([*found.series])
-
-
-@pytest.fixture(scope="module")
-def small() -> Any:
-    return zwidth(plan_map(), workers=1)
-
-
-def test_two_workers_give_the_bits_of_one(small: Any) -> None:
-    assert hits_of(zwidth(plan_map(), workers=2)) == hits_of(small)
-
-
-def test_repeats_differ_and_offsets_differ(small: Any) -> None:
-    of = {tuple(row[k] for k in ("scheme", "damping", "offset", "repeat")): row for row in small.table()}
+def test_two_workers_give_the_bits_of_one_and_repeats_and_offsets_differ() -> None:
+    one, two = (zwidth(plan_map(), workers=workers) for workers in (1, 2))
+    assert json.dumps([*one.series]) == json.dumps([*two.series])
+    of = {tuple(row[k] for k in ("scheme", "damping", "offset", "repeat")): row for row in one.table()}
     assert len({of["dual:20k/2k", 0.5, offset, n]["contact_s"] for offset in (0.1, 0.6) for n in (0, 1)}) > 1
 
 
@@ -131,9 +120,6 @@ def test_caps_islands_and_the_end_of_the_range_are_reported() -> None:
     assert (width.stiffness_undamped, width.undamped_capped, width.capped) == (20.0, True, True)
     assert (width.damping_range, width.range_capped) == (1.0, False)
     assert width.area == pytest.approx(15.0)
-
-
-def test_a_range_that_reaches_the_last_column_is_only_a_bound() -> None:
     found = ZWidth.of(one_scheme((0.0, 1.0)), [rows_of({10.0: True, 20.0: False})] * 2)
     width = found.width(0, "any")
     assert (width.damping_range, width.range_capped, width.capped) == (1.0, True, False)
@@ -172,13 +158,8 @@ def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes: An
 
 def test_a_handle_that_never_comes_home_passes_and_fails_no_criterion() -> None:
     """The end mass is too heavy for the homing servo, so there is no trial to judge."""
-    changes = {
-        "rig.mechanics.gravity": 9.81,
-        "homing.effort": 0.05,
-        "trial.duration_s": 0.5,
-        "verdict.tail_s": 0.2,
-    }
-    simulator = HitSimulator(config.override(presets.load("koul-compliant"), changes))
+    heavy = {"rig.mechanics.gravity": 9.81, "homing.effort": 0.05}
+    simulator = HitSimulator(config.override(presets.load("koul-compliant"), heavy))
     hit = simulator.hit(300.0, 0.5)
     assert hit.true.numbers["ticks"] == 0
     assert [hit.true.passes(criterion) for criterion in ("felt", "heard", "any")] == [None] * 3

@@ -208,8 +208,6 @@ def test_the_mean_heat_over_push_and_rest_is_that_of_the_nominal_effort(
     rms: float, nominal: float, duration: float, rest: float
 ) -> None:
     assert cooling_s(rms, nominal, duration) == pytest.approx(rest)
-    if rest:
-        assert rms**2 * duration / (duration + rest) == pytest.approx(nominal**2)
 
 
 # --- a real device --------------------------------------------------------------------------------------------------
@@ -235,11 +233,10 @@ def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path: Path, real
     plan = plan_map(dampings=(0.1,))
     found = zwidth_on_rig(plan, Person().session(tmp_path, "serial:///dev/rig", verified=True))
     assert len(real_devices) == 1
-    recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
+    paths = sorted((tmp_path / "hits").glob("*.parquet"))
+    recordings = [open_recording(path) for path in paths]
     assert len(recordings) == found.hits > 1
-    assert {row["recording"] for row in found.table()} == {
-        str(one.path and one.path.name) for one in recordings
-    }
+    assert {row["recording"] for row in found.table()} == {path.name for path in paths}
     zeros = {recording.header["identity"]["parameters"]["reference_count"] for recording in recordings}
     assert len(zeros) == 1
     assert zeros != {0}
@@ -259,10 +256,7 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_
     [
         ({"judged": "true"}, "set `judge` to recorded"),
         ({"offsets": (0.1, 0.6)}, "2 encoder offsets"),
-        (
-            {"schemes": (Scheme.parse("dual:5k/1k"), Scheme.parse("uniform:20k"))},
-            r"uniform:20k.*20000.*`rate` 8000",
-        ),
+        ({"schemes": (Scheme.parse("uniform:20k"),)}, r"uniform:20k.*20000.*`rate` 8000"),
         (
             {"search": StiffnessSearch(lowest=0.1, highest=10.0, ratio=2.0)},
             "K from 0.1 to .*peak penetration",
