@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ import pytest
 import rig.cli
 from rig.extras.papers.chawda.reproduction import CHAWDA
 from rig.extras.papers.cli import PAPERS
-from rig.extras.papers.koul import compare
 from rig.extras.papers.koul.reproduction import KOUL
 from rig.extras.papers.rules import ClaimStatus
 
@@ -74,24 +72,3 @@ def test_quick_reproduces_a_paper_in_one_report(
         assert f'id="{section}"' in page
     assert page.count("data:image/png;base64,") == PICTURES[paper]
     assert "(no picture)" not in page
-
-
-@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
-def test_the_conditions_of_the_paper_give_figures_7_and_8(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("koul_figure_7", "word_lengths", "koul_figure_8"):  # computed once for both outputs
-        monkeypatch.setattr(compare, name, cache(getattr(compare, name)))
-    command = ["reproduce", "koul", "--impacts"]
-    monkeypatch.chdir(tmp_path)
-    assert rig.cli.run([*command, "--plot", "-o", "figures"]) == 0
-    out = capfd.readouterr().out
-    for words in ("57.00 (57…57)", "39.75 (35…45)", "29.00 (29…29)", "fs/20", "figure 8"):
-        assert words in out
-    assert len(re.findall(r"^ +\d+ \*", out, re.MULTILINE)) == 2
-    assert {p.name for p in (tmp_path / "figures").iterdir()} == {"koul-figure-7.png", "koul-figure-8.png"}
-    assert rig.cli.run([*command, "--json"]) == 0
-    facts = json.loads(capfd.readouterr().out)
-    assert [panel["position_rate"] for panel in facts["figure_7"]] == [20000, 10000] * 2
-    assert len(facts["word_lengths"]) == 18
-    assert [p["velocity_rate"] for p in facts["figure_8"]["profiles"]] == [2000, 20000] * 2

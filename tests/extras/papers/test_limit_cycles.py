@@ -32,11 +32,6 @@ def test_a_cycle_is_measured_though_its_phase_wanders() -> None:
     assert with_slow_motion.share == pytest.approx(0.5, abs=0.02)  # half of the variance is in the band
 
 
-def test_a_motion_that_crosses_no_edge_is_measured_as_rest() -> None:
-    cycle = Cycle.of(np.linspace(3.1, 3.2, 100), np.full(100, BELOW), RATE_HZ)
-    assert (cycle.amplitude, cycle.frequency_hz, cycle.share) == (0.0, 0.0, 0.0)
-
-
 @pytest.fixture(scope="module")
 def cycles() -> LimitCycles:
     return limit_cycles(COMPLIANT, [UNIFORM, DUAL], [KOUL_WALL])

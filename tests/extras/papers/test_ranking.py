@@ -58,9 +58,8 @@ def test_a_fine_encoder_renders_the_commanded_wall_and_a_wrong_effort_constant_d
         assert found.damping == pytest.approx(60.0, rel=0.05)
     # 1.2 times the effort on a mass is the same motion as the effort on the mass over 1.2.
     hits = [HitSimulator(x, rig=one).hit(20_000.0, 60.0) for one in (stronger, lighter)]
-    assert hits[0].true.numbers["impact_velocity"] == pytest.approx(
-        float(hits[1].true.numbers["impact_velocity"]), rel=1e-6
-    )
+    one, other = (float(hit.true.numbers["impact_velocity"]) for hit in hits)
+    assert one == pytest.approx(other, rel=1e-6)
 
 
 def test_a_late_estimator_renders_less_damping_and_has_a_larger_error() -> None:
@@ -131,13 +130,8 @@ def test_win_and_tie() -> None:
 def make_results(rig: str, **areas: float) -> RigResults:
     """Return results in which each pair has the same area under all conditions."""
     keys = [f"{grip}/{delay}" for grip in rule.CONDITIONS for delay in rule.DELAYS]
-    return RigResults(
-        rig,
-        {},
-        [],
-        {},
-        {pair: {key: [[area] * 9, 1.0, 0.0, 0] for key in keys} for pair, area in areas.items()},
-    )
+    cells = {pair: {key: [[area] * 9, 1.0, 0.0, 0] for key in keys} for pair, area in areas.items()}
+    return RigResults(rig, {}, [], {}, cells)
 
 
 def test_the_best_pair_is_recommended_and_ties_are_not() -> None:
@@ -175,9 +169,8 @@ def test_variations_stay_within_a_fifth_and_the_controller_keeps_its_values() ->
 
 def test_the_page_shows_the_committed_results_and_the_design_lists_no_new_scheme_without_a_win() -> None:
     found = compare.read_results()
-    assert PAGE.read_text(encoding="utf-8") == page(found), (
-        "run: rig estimators rank, and copy results and page"
-    )
+    remedy = "run: rig estimators rank, and copy results and page"
+    assert PAGE.read_text(encoding="utf-8") == page(found), remedy
     assert compare.RESULTS.stat().st_size <= 200_000
     wins = {pair for one in found for n in one.delays for pair in one.recommended(n) if is_new(pair)}
     listed = {name for name, _ in _listing._estimators(presets.load("chawda-linear"), 1000)}
@@ -245,14 +238,11 @@ def test_the_command_writes_results_and_the_page_that_follows_from_them(
     words = ["estimators", "rank", "hapkit", "--entry", "mine:gain=0.1:10", "-o", str(tmp_path)]
     result = CliRunner().invoke(rig.cli.rig, words)
     assert result.exit_code == 0, result.output
-    assert asked == [
-        ("hapkit", [Tuned(estimator="mine", parameter="gain", low=0.1, high=10.0, per_rate=False)])
-    ]
+    mine = Tuned(estimator="mine", parameter="gain", low=0.1, high=10.0, per_rate=False)
+    assert asked == [("hapkit", [mine])]
     text = (tmp_path / "ranking.md").read_text(encoding="utf-8")
     assert text == page(compare.read_results(tmp_path / "results.json"))
     assert "| hapkit | **disturbance, estimated position** |" in text
     assert "not measured: koul-rigid" in text
     for entry in ("mine", "mine:gain", "mine:gain=1", "mine:gain=1:x", "mine:gain=2:1"):
-        assert (
-            CliRunner().invoke(rig.cli.rig, ["estimators", "rank", "hapkit", "--entry", entry]).exit_code != 0
-        )
+        assert CliRunner().invoke(rig.cli.rig, [*words[:4], entry]).exit_code != 0

@@ -14,15 +14,12 @@ from jinja2 import UndefinedError
 import rig.cli
 from rig.experiments.sweep import Task
 from rig.extras.papers import reproduction
-from rig.extras.papers.chawda.reproduction import CHAWDA
 from rig.extras.papers.claims import read_claims
 from rig.extras.papers.cli import PAPERS
-from rig.extras.papers.koul.reproduction import KOUL
 from rig.extras.papers.parts import Part, Parts
 from rig.extras.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
 from rig.extras.papers.rules import ClaimStatus, Ruling
 from rig.views.report import _template as template
-from rig.views.report import _writing as writing
 from tests.conformance.pages import ParsedPage
 from tests.conformance.sweep_work import raise_as_given
 
@@ -93,15 +90,8 @@ def paper(**words: Any) -> Paper:
 def made_up() -> Reproduction:
     made = paper()
     head, claims = read_claims(made.template(reproduction.CLAIMS), made.rulings(None), made.words(None))
-    return Reproduction(
-        paper=made,
-        title=head["title"],
-        source=head["source"],
-        claims=claims,
-        numbers=made.numbers(None),
-        provenance=made.provenance(None),
-        seconds=1.25,
-    )
+    given: Any = {"numbers": made.numbers(None), "provenance": made.provenance(None), "seconds": 1.25}
+    return Reproduction(paper=made, title=head["title"], source=head["source"], claims=claims, **given)
 
 
 # --- claims ----------------------------------------------------------------------------------------------------
@@ -110,13 +100,9 @@ def made_up() -> Reproduction:
 def test_a_claim_has_the_words_of_its_template_and_the_verdict_of_its_rule(templates: None) -> None:
     claims = made_up().claims
     assert [claim.verdict for claim in claims] == [
-        "reproduced",
-        "reproduced only with luck, and nothing else",
-        "reproduced in part: its size",
-        "follows from the method",
-        "undecided",
-        "not reproduced",
-    ]
+        "reproduced", "reproduced only with luck, and nothing else", "reproduced in part: its size",
+        "follows from the method", "undecided", "not reproduced",
+    ]  # fmt: skip
     assert (claims[0].ours, claims[0].claim) == ("1.50", f"claim c0 {NASTY}")
 
 
@@ -166,40 +152,6 @@ def test_no_number_in_the_words_of_a_template_is_a_result(name: str) -> None:
     assert found == []
 
 
-@pytest.mark.parametrize("paper", [KOUL, CHAWDA], ids=lambda paper: paper.name)
-def test_every_picture_is_shown_and_every_one_shown_is_drawn(paper: Paper) -> None:
-    page = template._text(paper.template(reproduction.PAGE))
-    shown = re.findall(r'picture\("([\w-]+)"( ~)?', page)
-    assert {name for name, begins in shown if not begins} == {
-        name for name in paper.pictures if not any(begins and name.startswith(of) for of, begins in shown)
-    }
-
-
-# --- numbers in words ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "0"), (9.996, "10.00"), (560.4, "560"), (1.234, "1.23"), (0.04567, "0.0457")]
-)
-def test_numbers_are_shown_with_three_digits(value: float, text: str) -> None:
-    assert writing.three(value) == text
-    assert float(writing.three(value)) == pytest.approx(value, rel=5e-3)
-
-
-def test_a_value_that_is_not_finite_has_a_sign_of_its_own() -> None:
-    assert writing.three(None) == writing.three(float("nan")) == "–"
-    assert writing.three(float("inf")) == "∞"
-
-
-def test_lists_in_a_sentence_are_joined_and_equal_texts_gathered() -> None:
-    def caller(*values: float) -> str:
-        return f" {'/'.join(map(str, values))} "
-
-    assert writing.each([(1, 2), (3, 4)], caller=caller) == "1/2; 3/4"
-    assert writing.each([], caller=caller) == ""
-    assert writing.gathered({"a": (1, 2), "b": (3, 4), "c": (1, 2)}, caller=caller) == "a, c: 1/2; b: 3/4"
-
-
 # --- pages -----------------------------------------------------------------------------------------------------------
 
 
@@ -229,11 +181,7 @@ def test_numbers_are_attached_as_json_that_any_reader_takes(templates: None, tmp
         raise AssertionError(constant)
 
     alone = json.loads(numbers.read_text(encoding="utf-8"), parse_constant=refuse)
-    (attached,) = re.findall(
-        r'<script type="application/json" id="numbers">(.*?)</script>',
-        html.read_text(encoding="utf-8"),
-        re.DOTALL,
-    )
+    attached = ParsedPage(html.read_text(encoding="utf-8")).numbers
     assert json.loads(attached, parse_constant=refuse) == alone
     assert alone["numbers"] == {"a": None, "b": [1.5, NASTY]}
     assert [claim["verdict"] for claim in alone["claims"]] == [claim.verdict for claim in made.claims]
@@ -282,21 +230,3 @@ def test_the_command_writes_one_report_and_resumes_from_its_journal(
     assert rig.cli.run([*command[:3], "-o", str(tmp_path)]) == 0
     printed = capfd.readouterr().out
     assert all(claim["claim"] in printed for claim in results[0]["claims"])
-
-
-@pytest.mark.exhaustive("::test_the_command_writes_one_report_and_resumes_from_its_journal")
-@pytest.mark.parametrize("paper", [KOUL, CHAWDA], ids=lambda paper: paper.name)
-def test_every_scale_plans_every_part_once_and_in_plain_data(paper: Paper) -> None:
-    quick, full = (paper.plan(scale).parts() for scale in (paper.quick, paper.full))
-    names, all_names = ({name.partition("/")[0] for name in parts} for parts in (quick, full))
-    assert names == all_names  # nothing is left out when it is quick
-    for part in quick.values():
-        assert len({task.key for task in part}) == len(part)
-        json.dumps([task.payload for task in part], allow_nan=False)
-
-
-def test_a_page_that_calls_for_what_it_does_not_get_is_an_error(templates: None) -> None:
-    made = made_up()
-    without = SimpleNamespace(template=made.paper.template, words=lambda _: {}, name="made-up", pictures={})
-    with pytest.raises(UndefinedError, match="nasty"):
-        render(replace(made, paper=without), {})  # type: ignore[arg-type]
