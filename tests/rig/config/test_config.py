@@ -5,7 +5,6 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import fields, replace
-from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -166,24 +165,16 @@ def test_tables_nested_beyond_reason_are_unknown_keys() -> None:
 
 
 def test_every_problem_is_listed_on_its_own_line_with_file_key_value_range_and_remedy() -> None:
-    lines = refusal(
-        {
-            "wall.stiffness": -3.0,
-            "controller.position_rate": 20000.5,
-            "trial.start": "far",
-            "wall.pul": "clamp",
-        }
-    ).splitlines()
-    assert len(lines) == 4
-    assert (
-        "hit.toml: wall.stiffness = -3.0: must be a number ≥ 0 N·m/rad (K); choose a value in"
-        in "\n".join(lines)
-    )
-    assert any(
-        "controller.position_rate = 20000.5: must be a whole number ≥ 10 and ≤ 200000 Hz" in x for x in lines
-    )
-    assert any('trial.start = "far": must be a number in rad' in x and "without quotes" in x for x in lines)
-    assert any("wall.pul: is not a known key; did you mean pull?" in x for x in lines)
+    wrong = {"wall.stiffness": -3.0, "controller.position_rate": 20000.5, "trial.start": "far", "wall.pul": 1}
+    text = refusal(wrong)
+    assert len(text.splitlines()) == len(wrong)
+    for words in (
+        "hit.toml: wall.stiffness = -3.0: must be a number ≥ 0 N·m/rad (K); choose a value in",
+        "controller.position_rate = 20000.5: must be a whole number ≥ 10 and ≤ 200000 Hz",
+        'trial.start = "far": must be a number in rad',
+        "wall.pul: is not a known key; did you mean pull?",
+    ):
+        assert words in text
 
 
 def test_units_in_messages_follow_the_motion_of_the_rig() -> None:
@@ -199,31 +190,23 @@ def test_units_in_messages_follow_the_motion_of_the_rig() -> None:
     [
         ("wall.stiffness", math.nan, "nan: must be a number ≥ 0 N·m/rad"),
         ("wall.stiffness", math.inf, "inf: must be a number ≥ 0 N·m/rad"),
-        ("wall.stiffness", True, "true: must be a number"),
         ("wall.stiffness", "300", "write a number, without quotes"),
         ("wall.stiffness", {"a": 1}, "a table: must be a number"),
-        ("wall.stiffness", date(2020, 1, 1), "must be a number"),
-        ("wall.stiffness", 10**400, "must be a number"),
         ("wall.stiffness", 10**5000, "must be a number"),
         ("trial.seed", 10**5000, "must be a whole number"),
-        ("trial.seed", -1, "-1: must be a whole number ≥ 0"),
         ("trial.repeats", 2.0, "write a whole number in this range"),
         ("trial.repeats", True, "true: must be a whole number ≥ 1"),
-        ("wall.side", True, "true: must be one of -1, 1"),
-        ("wall.side", 1.0, "1.0: must be one of -1, 1"),
         ("wall.side", 0, "0: must be one of -1, 1"),
         ("wall.pull", "clmp", "did you mean clamp?"),
         ("rig.limits.human", 1, "must be true or false"),
         ("rig.limits.human", "yes", "without quotes"),
         ("rig.name", "", "must be text, not empty"),
-        ("rig.name", 3, "write text in quotes"),
         ("controller.loop", "devise", "did you mean device?"),
         ("controller.parameters.cutoff_hz", math.nan, "must be a finite number or text"),
         ("controller.parameters", [1], "must be a table with numbers by name"),
         ("controller.command_lifetime_s", 0.03, "≤ 0.02 s"),
         ("rig.encoder.decoding", 4.0, "must be one of 1, 4"),
         ("wall", 3, "3: must be a table with stiffness, damping"),
-        ("realtime", 3, "3: must be a table"),
         ("realtime", {"wall.stiffness": [1]}, "realtime.wall.stiffness"),
         ("realtime", {"wall.stifness": 1}, "did you mean stiffness?"),
         ("realtime", {"wall.stiffness": math.nan}, "realtime.wall.stiffness = nan"),
@@ -291,167 +274,74 @@ def test_an_error_under_a_preset_names_both() -> None:
         experiment_from_mapping({"preset": "koul-rigid", "wall": {"stiffness": -1}}, "hit.toml")
 
 
-def test_a_mapping_must_be_a_mapping() -> None:
-    with pytest.raises(ConfigError, match="must be a table of sections"):
-        experiment_from_mapping([1], "hit.toml")  # type: ignore[arg-type]
-
-
 # Rules between keys: each message names the file, the key, its value, the range and the remedy.
 
-ROTARY_RULES = [
-    (
-        {"controller.velocity_rate": 3000},
-        "controller.position_rate = 20000 Hz: must be an integer multiple of controller.velocity_rate = 3000 Hz; "
-        "nearest allowed: position_rate = 18000 or 21000 Hz, or velocity_rate = 2500 or 4000 Hz",
-    ),
-    (
-        {"controller.velocity_rate": 30000, "controller.parameters.cutoff_hz": 100.0},
-        "nearest allowed: position_rate = 30000 Hz, or velocity_rate = 20000 Hz",
-    ),
-    (
-        {"controller.slow_velocity_rate": 1500},
-        "controller.slow_velocity_rate = 1500 Hz: must divide controller.velocity_rate = 2000 Hz",
-    ),
-    ({"host.heartbeat_s": 0.001}, "host.heartbeat_s = 0.001 s: must be 0 or at least 0.1 s"),
-    (
-        {"rig.encoder.counts_per_revolution": None, "rig.encoder.quantum": 1e-6},
-        'rig.encoder.quantum = 1e-06 m: belongs to a rig with motion = "linear"; rig.motion = "rotary" needs '
-        "rig.encoder.counts_per_revolution, a whole number (lines of the encoder disc); give",
-    ),
-    (
-        {"rig.encoder.counts_per_revolution": 10**30},
-        "a number of more than 64 bits: must be > 0 and ≤ 10000000; give the lines in its data sheet",
-    ),
-    (
-        {"rig.limits.effort": 1.4},
-        "rig.limits.effort = 1.4 N·m: must be at most rig.amplifier.effort_limit, 1.3 N·m; lower rig.limits.effort",
-    ),
-    (
-        {"rig.limits.nominal_effort": 2.0},
-        "rig.limits.nominal_effort = 2.0 N·m: must be at most rig.amplifier",
-    ),
-    ({"homing.effort": 1.4}, "homing.effort = 1.4 N·m: must be at most rig.limits.effort, 1.3 N·m"),
-    ({"trial.effort": 1.5}, "trial.effort = 1.5 N·m: must be at most rig.limits.effort, 1.3 N·m"),
-    (
-        {"rig.limits.human": True},
-        "rig.limits.effort = 1.3 N·m: must be at most rig.limits.nominal_effort, 0.286 N·m, while a person holds "
-        "the handle (rig.limits.human = true); lower rig.limits.effort; or set rig.limits.override_stall = true",
-    ),
-    (
-        {"rig.limits.position_minimum": 0.6},
-        "rig.limits.position_minimum = 0.6 rad: must be below position_maximum, 0.5 rad; swap",
-    ),
-    ({"wall.position": 0.6}, "wall.position = 0.6 rad: must lie inside the position window, -0.5 to 0.5 rad"),
-    ({"trial.start": -0.5}, "trial.start = -0.5 rad: must lie inside the position window, -0.5 to 0.5 rad"),
-    (
-        {"rig.simulation.initial_position": 1.0},
-        "rig.simulation.initial_position = 1.0 rad: must lie inside the position window",
-    ),
-    (
-        {"trial.start": 0.01},
-        "trial.start = 0.01 rad: must be below wall.position, 0 rad: the free side for wall.side = 1; start farther",
-    ),
-    (
-        {"wall.side": -1},
-        "trial.start = -0.015 rad: must be above wall.position, 0 rad: the free side for wall.si",
-    ),
-    ({"wall.side": -1}, "trial.effort = 0.15 N·m: must be < 0 N·m to push into a wall with wall.side = -1"),
-    ({"trial.effort": 0.0}, "trial.effort = 0.0 N·m: must be > 0 N·m to push into a wall"),
-    (
-        {"wall.stiffness": 3000.0},
-        "trial.effort = 0.15 N·m: must be at least 0.942 N·m: against wall.stiffness = 3000 N·m/rad it rests 0.32 "
-        "counts deep, less than trial.minimum_rest_counts = 2; raise trial.effort, or choose a wall.stiffness of at "
-        "most 477 N·m/rad",
-    ),
-    ({"homing.speed": 11.0}, "homing.speed = 11.0 rad/s: must be below rig.limits.speed, 10 rad/s"),
-    ({"verdict.tail_s": 1.0}, "verdict.tail_s = 1.0 s: must be shorter than trial.duration_s, 1 s; shorten"),
-    (
-        {"verdict.highpass_hz": 600.0},
-        "verdict.highpass_hz = 600.0 Hz: must be below verdict.lowpass_hz, 500 Hz; swap",
-    ),
-    (
-        {"rig.amplifier.current_quantum_a": 1e-4},
-        "rig.amplifier.effort_limit = 1.3 N·m: must be ≤ 0.7667 N·m, which is 32767 current quanta; raise rig.ampl",
-    ),
-    (
-        {"rig.amplifier.profile": "escon-50-5"},
-        'rig.amplifier.profile = "escon-50-5": must be a known amplifier; did you mean escon-50-5-pwm?',
-    ),
-    (
-        {"rig.amplifier.profile": "l298n"},
-        'rig.amplifier.profile = "l298n": a bridge with two inputs is at full',
-    ),
-    (
-        {"rig.amplifier.profile": "escon-50-5-pwm", "rig.amplifier.set_point_delay_s": 1e-4},
-        "rig.amplifier.set_point_delay_s = 0.0001 s: must be ≥ 0.00025 s with rig.amplifier.profile = ",
-    ),
-    (
-        {"rig.amplifier.profile": "voltage-bridge", "rig.amplifier.set_point_delay_s": 2e-5},
-        'rig.amplifier.drive = "current": must be voltage with rig.amplifier.profile = "voltage-bridge"; set it to',
-    ),
-    (
-        {
-            "rig.amplifier.profile": "voltage-bridge",
-            "rig.amplifier.set_point_delay_s": 2e-5,
-            "rig.amplifier.drive": "voltage",
-            "rig.amplifier.back_emf_damping": 0.0,
-        },
-        "rig.amplifier.back_emf_damping = 0.0 N·m·s/rad: must be > 0 on a plain bridge; set it to k_t²/R at the link",
-    ),
-    (
-        {"rig.cogging.orders": [1, 7], "rig.cogging.period": 0.6, "rig.cogging.cosine": [0.1]},
-        "rig.cogging.cosine = [0.1] N·m: must have one number for each of the 2 orders in rig.cogging.orders",
-    ),
-    ({"rig.cogging.orders": [0]}, "rig.cogging.orders = [0]: must be different numbers from 1 to 1000"),
-    (
-        {"rig.cogging.orders": [3], "rig.cogging.cosine": [0.1], "rig.cogging.sine": [0.0]},
-        "rig.cogging.period = None rad: must be given with rig.cogging.orders",
-    ),
-    (
-        {"rig.cogging.ripple_cosine": [0.02]},
-        "rig.cogging.ripple_cosine = [0.02]: must have one number for each of the 0 orders in rig.cogging.orders",
-    ),
-    (
-        {
-            "rig.cogging.orders": [3],
-            "rig.cogging.period": 0.6,
-            "rig.cogging.cosine": [0.0],
-            "rig.cogging.sine": [0.0],
-            "rig.cogging.ripple_cosine": [0.8],
-            "rig.cogging.ripple_sine": [0.6],
-        },
-        "rig.cogging.ripple_cosine = [0.8]: gives with rig.cogging.ripple_sine up to 1 of the effort",
-    ),
-    (
-        {"rig.cogging.minimum": 0.2, "rig.cogging.maximum": 0.1},
-        "rig.cogging.minimum = 0.2 rad: must lie below",
-    ),
-]
 
-
-@pytest.mark.parametrize(("changes", "words"), ROTARY_RULES)
-def test_rules_between_keys(changes: dict[str, Any], words: str) -> None:
-    text = refusal(changes)
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("controller.velocity_rate", 3000, "position_rate = 18000 or 21000 Hz, or velocity_rate = 2500 or 4000 Hz"),
+        ("controller.slow_velocity_rate", 1500, "1500 Hz: must divide controller.velocity_rate = 2000 Hz"),
+        ("host.heartbeat_s", 0.001, "0.001 s: must be 0 or at least 0.1 s"),
+        ("rig.encoder.counts_per_revolution", 10**30, "a number of more than 64 bits: must be > 0 and ≤ 10000000"),
+        ("rig.limits.effort", 1.4, "1.4 N·m: must be at most rig.amplifier.effort_limit, 1.3 N·m; lower rig.limits"),
+        ("rig.limits.nominal_effort", 2.0, "2.0 N·m: must be at most rig.amplifier"),
+        ("homing.effort", 1.4, "1.4 N·m: must be at most rig.limits.effort, 1.3 N·m"),
+        ("trial.effort", 1.5, "1.5 N·m: must be at most rig.limits.effort, 1.3 N·m"),
+        ("rig.limits.human", True, "effort = 1.3 N·m: must be at most rig.limits.nominal_effort, 0.286 N·m, while"),
+        ("rig.limits.position_minimum", 0.6, "0.6 rad: must be below position_maximum, 0.5 rad; swap"),
+        ("wall.position", 0.6, "0.6 rad: must lie inside the position window, -0.5 to 0.5 rad"),
+        ("trial.start", -0.5, "-0.5 rad: must lie inside the position window, -0.5 to 0.5 rad"),
+        ("rig.simulation.initial_position", 1.0, "1.0 rad: must lie inside the position window"),
+        ("trial.start", 0.01, "0.01 rad: must be below wall.position, 0 rad: the free side for wall.side = 1"),
+        ("wall.side", -1, "trial.start = -0.015 rad: must be above wall.position, 0 rad: the free side for"),
+        ("wall.side", -1, "trial.effort = 0.15 N·m: must be < 0 N·m to push into a wall with wall.side = -1"),
+        ("trial.effort", 0.0, "0.0 N·m: must be > 0 N·m to push into a wall"),
+        ("wall.stiffness", 3000.0, "0.15 N·m: must be at least 0.942 N·m: against wall.stiffness = 3000 N·m/rad"),
+        ("homing.speed", 11.0, "11.0 rad/s: must be below rig.limits.speed, 10 rad/s"),
+        ("verdict.tail_s", 1.0, "1.0 s: must be shorter than trial.duration_s, 1 s; shorten"),
+        ("verdict.highpass_hz", 600.0, "600.0 Hz: must be below verdict.lowpass_hz, 500 Hz; swap"),
+        ("rig.amplifier.current_quantum_a", 1e-4, "1.3 N·m: must be ≤ 0.7667 N·m, which is 32767 current quanta"),
+        ("rig.amplifier.profile", "escon-50-5", "must be a known amplifier; did you mean escon-50-5-pwm?"),
+        ("rig.amplifier.profile", "l298n", "a bridge with two inputs is at full"),
+        ("rig.cogging.orders", [0], "[0]: must be different numbers from 1 to 1000"),
+        ("rig.cogging.ripple_cosine", [0.02], "must have one number for each of the 0 orders in rig.cogging.orders"),
+    ],
+    ids=itertools.count(),
+)  # fmt: skip
+def test_rules_between_keys(key: str, value: Any, words: str) -> None:
+    text = refusal({key: value})
     assert words in text
     assert all(line.startswith("hit.toml: ") for line in text.splitlines())
 
 
+BRIDGE = {"rig.amplifier.profile": "voltage-bridge", "rig.amplifier.set_point_delay_s": 2e-5}
+COGS = {
+    "rig.cogging.orders": [3],
+    "rig.cogging.period": 0.6,
+    "rig.cogging.cosine": [0.1],
+    "rig.cogging.sine": [0.0],
+}
+
+
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("base", "changes", "words"),
     [
-        (
-            {"rig.encoder.quantum": None, "rig.encoder.counts_per_revolution": 1000},
-            'rig.encoder.counts_per_revolution = 1000: belongs to a rig with motion = "rotary"; '
-            'rig.motion = "linear" needs rig.encoder.quantum, a number in m (travel for one count',
-        ),
-        (
-            {"rig.mechanics.handle_radius": 0.1},
-            "rig.mechanics.handle_radius = 0.1 m: must be 1 on a linear rig",
-        ),
+        (KOUL, {"rig.encoder.counts_per_revolution": None, "rig.encoder.quantum": 1e-6}, 'motion = "linear"; rig.mo'),
+        (KOUL, {**BRIDGE, "rig.amplifier.profile": "escon-50-5-pwm"}, "set_point_delay_s = 2e-05 s: must be ≥ 0.00025"),
+        (KOUL, BRIDGE, 'drive = "current": must be voltage with rig.amplifier.profile = "voltage-bridge"; set it to'),
+        (KOUL, {**BRIDGE, "rig.amplifier.drive": "voltage", "rig.amplifier.back_emf_damping": 0.0}, "must be > 0 on a"),
+        (KOUL, {**COGS, "rig.cogging.orders": [1, 7]}, "one number for each of the 2 orders in rig.cogging.orders"),
+        (KOUL, {**COGS, "rig.cogging.period": None}, "period = None rad: must be given with rig.cogging.orders"),
+        (KOUL, {**COGS, "rig.cogging.ripple_cosine": [0.8], "rig.cogging.ripple_sine": [0.6]}, "up to 1 of the effort"),
+        (KOUL, {"rig.cogging.minimum": 0.2, "rig.cogging.maximum": 0.1}, "minimum = 0.2 rad: must lie below"),
+        (CHAWDA, {"rig.encoder.quantum": None, "rig.encoder.counts_per_revolution": 1000}, 'motion = "rotary"; rig.mo'),
+        (CHAWDA, {"rig.mechanics.handle_radius": 0.1}, "handle_radius = 0.1 m: must be 1 on a linear rig"),
     ],
-)
-def test_rules_of_a_linear_rig(changes: dict[str, Any], words: str) -> None:
-    assert words in refusal(changes, CHAWDA)
+    ids=itertools.count(),
+)  # fmt: skip
+def test_rules_of_keys_that_change_together(base: Experiment, changes: dict[str, Any], words: str) -> None:
+    assert words in refusal(changes, base)
 
 
 def test_a_push_into_no_stiffness_has_no_rest_to_refuse() -> None:
@@ -581,13 +471,7 @@ JUNK = st.one_of(
 )
 PLACES = [
     *parameters(),
-    "wall",
-    "rig",
-    "rig.limits",
-    "controller.parameters",
-    "realtime",
-    "preset",
-    "nothing",
+    *["wall", "rig", "rig.limits", "controller.parameters", "realtime", "preset", "nothing"],
 ]
 
 
@@ -636,16 +520,6 @@ def test_the_schema_for_editors_knows_presets_ranges_units_and_meanings() -> Non
     assert stiffness["description"] == "K [N·m/rad or N/m]"
     assert schema["$defs"]["Wall"]["additionalProperties"] is False
     assert "required" not in json.dumps(schema)
-
-
-@pytest.mark.exhaustive("::test_the_schema_for_editors_knows_presets_ranges_units_and_meanings")
-def test_the_schema_for_editors_is_valid_and_finds_a_wrong_type() -> None:
-    schema = json_schema()
-    jsonschema = pytest.importorskip("jsonschema")
-    jsonschema.Draft202012Validator.check_schema(schema)
-    validator = jsonschema.Draft202012Validator(schema)
-    assert validator.is_valid({"preset": "koul-rigid", "wall": {"stiffness": 100.0}})
-    assert not validator.is_valid({"wall": {"stiffness": "stiff"}})
 
 
 def test_thresholds_at_the_handle_become_thresholds_at_the_link() -> None:

@@ -29,28 +29,13 @@ def build(directory: Path) -> Path:
     for tool, package in (("gcc", "gcc"), ("pkg-config", "pkg-config"), ("umockdev-run", "umockdev")):
         if shutil.which(tool) is None:
             pytest.skip(f"{tool} is not installed (package {package})")
-    flags = subprocess.run(
-        ["pkg-config", "--cflags", "--libs", "umockdev-1.0"], capture_output=True, text=True, check=False
-    )
+    asked = ["pkg-config", "--cflags", "--libs", "umockdev-1.0"]
+    flags = subprocess.run(asked, capture_output=True, text=True, check=False)
     if flags.returncode:
         pytest.skip("umockdev's headers are not installed (package libumockdev-dev)")
-    program = directory / "bridge"
-    source = Path(__file__).with_name("bridge.c")
-    subprocess.run(
-        [
-            "gcc",
-            "-O1",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-o",
-            program,
-            source,
-            *flags.stdout.split(),
-            "-lpthread",
-        ],
-        check=True,
-    )
+    program, source = directory / "bridge", Path(__file__).with_name("bridge.c")
+    warnings = ("-O1", "-Wall", "-Wextra", "-Werror")
+    subprocess.run(["gcc", *warnings, "-o", program, source, *flags.stdout.split(), "-lpthread"], check=True)
     return program
 
 
