@@ -1,6 +1,8 @@
 """The check before arming and the table of walls, on links with given times, against theory's limits."""
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,6 +10,7 @@ from typing import Any
 
 import pytest
 
+import rig.cli
 from rig import config
 from rig.analysis import theory
 from rig.config import controller, presets
@@ -20,6 +23,7 @@ from rig.doctor.gate import LIFETIME_SHARE, check_armable, gate
 from rig.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
 from rig.experiments.hits.hit import in_effect
 from rig.realtime.clock import MonotonicClock, VirtualClock
+from tests.conformance.commands import resolve
 from tests.conformance.guides import ROOT, blocks
 from tests.conformance.made_links import link
 
@@ -63,17 +67,34 @@ def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay() 
     assert "unstable at 20000 Hz with 1 tick of delay" in found.text
 
 
-def test_the_file_of_the_first_power_on_is_armed_as_it_stands(tmp_path: Path) -> None:
+@pytest.fixture
+def first_power_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Write the file of the check-list for first power-on; return the list's commands."""
+    page = blocks(ROOT / "firmware_protocol" / "firmware" / "BENCH.md")
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(next(block.text for block in page if block.language == "toml"))
+    return [line for block in page for line in block.commands()]
+
+
+def test_the_file_of_the_first_power_on_is_armed_as_it_stands(first_power_on: list[str]) -> None:
     """The check-list forbids --arm-anyway, and no command in it changes the wall."""
-    page = ROOT / "firmware_protocol" / "firmware" / "BENCH.md"
-    path = tmp_path / "mine.toml"
-    path.write_text(next(block.text for block in blocks(page) if block.language == "toml"))
-    found = gate(config.load_experiment(path), link(0.5e-3))
+    found = gate(config.load_experiment("mine.toml"), link(0.5e-3))
     assert found.armable, found.text
     assert max(found.spectral_radius.values()) < 1.0
-    hits = [line for block in blocks(page) for line in block.commands() if line.startswith("rig hit")]
+    hits = [line for line in first_power_on if line.startswith("rig hit")]
     assert hits
     assert not [line for line in hits if " -K " in line or " -B " in line or "--arm-anyway" in line]
+
+
+def test_each_setting_of_the_first_power_on_can_be_planned_with_its_file(
+    first_power_on: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    for line in first_power_on:
+        if line.startswith("rig ") and re.search(r"--set|--operator|-K", line):
+            words = [
+                one for one in resolve(shlex.split(line)[1:])[1] if one not in ("URL", "--url", "--verified")
+            ]
+            assert rig.cli.run(["experiment", "plan", *words]) == 0, capfd.readouterr().err
 
 
 @pytest.mark.parametrize("delay", [1, 2, 3])
@@ -298,17 +319,6 @@ def test_the_table_has_the_limits_of_theory_for_each_scheme_with_its_delay() -> 
             limit = theory.k_max(late, row.scheme, largest.damping, operator=hand)
             assert largest.by_hand[hand] == pytest.approx(limit.stiffness)
         assert json.loads(json.dumps(plain(row)))["k_max"][0]["by_hand"].keys() == row.k_max[0].by_hand.keys()
-
-
-def test_a_dual_rate_experiment_keeps_its_ratio() -> None:
-    rows = supported_walls(KOUL, link(40e-6), 20_000)
-    assert [(row.position_rate, row.velocity_rate) for row in rows] == [(20_000, 20_000), (20_000, 2_000)]
-
-
-def test_an_impossible_scheme_has_the_reason() -> None:
-    kalman = config.override(CALM, {"controller.estimator": "levant"})
-    rows = supported_walls(kalman, link(30e-6), 1000)
-    assert all("levant" in row.reason for row in rows)
 
 
 def test_the_way_to_a_drive_behind_a_bridge_is_delay_too() -> None:

@@ -81,24 +81,18 @@ def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(
         assert isinstance(json.dumps(plain(finding)), str)
 
 
+READ = f"""
+proc/swaps proc/self/cgroup proc/self/status proc/timer_list proc/cpuinfo proc/sys/kernel/sched_rt_runtime_us
+proc/sys/kernel/version proc/cmdline proc/1/comm proc/config.gz etc/group {CPU}/online {CPU}/isolated
+{CPU}/cpu0/cpufreq/scaling_governor {CLOCKS}/current_clocksource sys/kernel/debug/sched/preempt
+"""
+
+
 @settings(max_examples=8)
 @given(st.text(max_size=200))
 def test_any_text_in_any_file_gives_findings(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
-    names = [
-        *(
-            "proc/swaps",
-            "proc/self/cgroup",
-            "proc/self/status",
-            "proc/timer_list",
-            "proc/cpuinfo",
-            "etc/group",
-        ),
-        *("proc/sys/kernel/sched_rt_runtime_us", "proc/sys/kernel/version", "proc/cmdline", "proc/1/comm"),
-        *(f"{CPU}/online", f"{CPU}/isolated", f"{CPU}/cpu0/cpufreq/scaling_governor", "proc/config.gz"),
-        *(f"{CLOCKS}/current_clocksource", "sys/kernel/debug/sched/preempt"),
-    ]
     tree = Tree(tmp_path_factory.mktemp("machine"))
-    for name in names:
+    for name in READ.split():
         path = tree.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(text.replace("-", " ").encode(errors="surrogatepass"))
@@ -160,19 +154,11 @@ def clocks(current: str, available: str) -> dict[str, str]:
     ("check", "files", "given", "outcome", "text", "remedy"),
     [
         (limits.priority, {}, {}, OK, "", ""),
-        (limits.priority, {}, {"priority": 98}, OK, "", ""),
         (limits.memory, {}, {}, OK, "", ""),
         (limits.priority, GROUP | {SHARE: "0\n"}, {}, WARNING, "", SHARE_COMMAND),
         (limits.priority, GROUP | {SHARE: "100000\n"}, {}, OK, "", ""),
-        (
-            limits.priority,
-            GROUP | {SHARE: "0\n", RT_SHARE: "-1"},
-            {},
-            OK,
-            "",
-            "",
-        ),  # then groups have no shares
-        (limits.priority, GROUP, {}, OK, "", ""),
+        # Then groups have no shares.
+        (limits.priority, GROUP | {SHARE: "0\n", RT_SHARE: "-1"}, {}, OK, "", ""),
         (limits.priority, CONTAINER, {}, WARNING, "", "/sys/fs/cgroup/cpu/cpu.rt_runtime_us"),
         (limits.idle_states, {}, {}, OK, "", ""),
         (limits.idle_states, IDLE, {}, WARNING, "", ""),
@@ -183,12 +169,9 @@ def clocks(current: str, available: str) -> dict[str, str]:
         (limits.swap, {"proc/swaps": SWAPS}, OTHERS, WARNING, "22 MiB", "sudo swapoff -a"),
         (limits.real_time_share, {RT_SHARE: "950000"}, {}, OK, "95% of each 1 s", ""),
         (limits.real_time_share, {RT_SHARE: "-1"}, {}, WARNING, "", "sched_rt_runtime_us"),
-        (limits.real_time_share, {RT_SHARE: "0"}, {}, WARNING, "", "sched_rt_runtime_us"),
-        (limits.real_time_share, {RT_SHARE: ""}, {}, OK, "", ""),
         (kernel.timer, {"proc/timer_list": "  .resolution: 1 nsecs\n"}, {}, OK, "", ""),
         (kernel.timer, {"proc/timer_list": "  .resolution: 4000000 nsecs\n"}, {}, REFUSED, "4 ms", ""),
         (kernel.clock, clocks("tsc", "tsc hpet acpi_pm"), {}, OK, "", ""),
-        (kernel.clock, clocks("arch_sys_counter", "arch_sys_counter"), {}, OK, "", ""),
         (kernel.clock, clocks("kvm-clock", "kvm-clock tsc"), {}, OK, "", ""),
         (
             kernel.clock,
@@ -200,7 +183,6 @@ def clocks(current: str, available: str) -> dict[str, str]:
         ),
         (kernel.clock, clocks("acpi_pm", "hpet acpi_pm"), {}, WARNING, "", ""),
         (kernel.governor, {}, {}, OK, "", ""),
-        (kernel.governor, {f"{CPU}/cpu0/cpufreq/scaling_governor": "performance\n"}, {}, OK, "", ""),
         (kernel.governor, POWERSAVE, {}, WARNING, "powersave on 2 of 4 processors", ""),
         (kernel.isolation, ISOLATED, {}, OK, "isolated processors for host.cpu: 3", ""),
         (kernel.isolation, ISOLATED, {"cpu": 3}, OK, "is isolated", ""),
@@ -356,12 +338,8 @@ def test_late_wake_ups_are_a_warning_with_what_was_refused() -> None:
         refusals=("SCHED_FIFO 80 is refused",),
     )  # fmt: skip
     finding = wake_up.judge(woken)
-    assert isinstance(finding, Check)
     assert finding.outcome == WARNING
-    assert finding.text == (
-        "1000 at 1 kHz as SCHED_OTHER: 50 % within 25 µs, 99 % within 2500 µs, longest 8000 µs"
-        "; 3 periods missed; SCHED_FIFO 80 is refused"
-    )
+    assert finding.text.endswith("longest 8000 µs; 3 periods missed; SCHED_FIFO 80 is refused")
 
 
 def test_the_command_prints_the_rules_and_nothing_else() -> None:

@@ -151,11 +151,6 @@ def test_the_host_asks_at_the_given_rate_for_the_given_time(rate: int) -> None:
     assert found.capacity_bytes_per_s == 1e6
 
 
-def test_without_a_rate_the_host_asks_again_as_soon_as_the_reply_is_there() -> None:
-    found = measured(EchoLink([100_000] * 4000), 0.2, None)
-    assert found.sent == pytest.approx(2000, abs=4)
-
-
 def test_time_in_the_device_is_not_travel() -> None:
     found = measured(EchoLink([900_000] * 1000, kept=800_000))
     assert found.stamps_trusted
