@@ -15,7 +15,7 @@ from tests.platforms.emulated import emulate
 
 SHORT = ("--set", "trial.duration_s=0.6", "--no-plot")
 SLOW = ("--rate", "4k/1k")  # the readable device, which runs where no compiler is, needs 0.1 ms for a tick
-MAP = (
+MAP = [
     "--scheme",
     "dual:20k/2k",
     "--search",
@@ -26,7 +26,7 @@ MAP = (
     "--offsets",
     "0.1",
     "--no-plot",
-)
+]
 ON_THE_BOARD = ("--rig", "koul-rigid", "--loop", "device", "--rate", "5k/500", "-K60", "-B0.05", *SHORT)
 IN_TIME = ("--set", "controller.supervise_lifetime_s=0.1", "--verified")
 A_PERSON = (

@@ -24,7 +24,6 @@ from tests.conformance.firmware import need_compiler
 
 RATE = 10_000
 WAIT_S = 20.0
-WALL = 0.004  # rad beyond the start: the handle begins outside
 EXCITED = {
     "controller.loop": "device",
     "controller.position_rate": RATE,

@@ -1,9 +1,15 @@
-"""Whole sessions on the simulated rig, in virtual time: repeatable from the seed."""
+"""Whole sessions on the simulated rig, in virtual time: repeatable, from every template, without kept memory."""
 
+import gc
+import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from rig.cli import run as rig
+from rig.config.presets import load as preset
 from rig.extras.study import AnalysisOptions, analyse
 from rig.extras.study.report import render
 from rig.recording.files import sha256_of
@@ -14,7 +20,10 @@ from rig.session.engine._log import read
 from rig.session.engine._rehearsal import Person
 from rig.session.engine._run import rehearsal_desk, run_session
 from rig.session.engine._state import SessionState
-from rig.session.planning._template_files import DEFAULT, write_template
+from rig.session.planning._load import load_protocol
+from rig.session.planning._template_files import DEFAULT, template_names, write_template
+from tests.conformance.firmware import need_compiler
+from tests.conformance.tiers import first_by_default
 from tests.system.session_study import written
 
 PERSON = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0}, lapse_rate=0.05)
@@ -80,3 +89,58 @@ def test_the_analysis_finds_the_threshold_of_the_simulated_person(calm: tuple[Pa
     for one in estimates:
         assert one.low <= 65.0 <= one.high
         assert one.high - one.low < 90.0
+
+
+def test_a_trial_leaves_no_memory_to_the_collector(tmp_path: Path) -> None:
+    """A session has hundreds of trials, and garbage collection is irregular: no array may be part of a cycle."""
+    need_compiler()
+    x = preset("koul-rigid")
+    x = replace(x, trial=replace(x.trial, kind="human", duration_s=1.0))
+    (tmp_path / "trials").mkdir()
+    runner = DeviceRunner()
+    runner.hit(x, {}, tmp_path / "trials", "t0001", lambda _: None, 0.0)  # what is made once
+    gc.collect()
+    gc.disable()
+    try:
+        runner.hit(x, {}, tmp_path / "trials", "t0002", lambda _: None, 0.0)
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        gc.collect()
+        ours = {
+            type(one).__name__
+            for one in gc.garbage
+            if type(one).__module__.startswith(("rig.", "sim_backend."))
+        }
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
+    assert not ours
+
+
+TRIALS = 3
+
+
+@pytest.mark.exhaustive("tests/rig/session/test_session_check.py::test_every_template_passes_on_its_preset")
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("name", first_by_default(sorted(template_names(), reverse=True)))
+def test_a_template_is_rehearsed_and_reported(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "study.toml", tmp_path / "out"
+    assert rig(["session", "new", str(path), "--template", name]) == 0
+    assert rig(["session", "check", str(path)]) == 0
+    planned = capsys.readouterr().out
+    for condition in load_protocol(path).condition:
+        assert f"{condition.name}: fit {condition.fit}" in planned or not condition.fit
+    text = path.read_text().replace("[stop]\n", f"[stop]\ntrials = {TRIALS}\n")
+    path.write_text(re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text))
+    study = str(tmp_path / "study")
+    assert rig(["session", "run", str(path), "P01", "--rehearse", "--study", study, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["ended"], result["counted"]) == (f"{TRIALS} trials", TRIALS)
+    assert result["invalid"] == 0
+    assert rig(["session", "analyse", study, "--output", str(out)]) == 0
+    report = (out / "report.html").read_text()
+    for condition in load_protocol(path).condition:
+        assert condition.name in report
+        assert condition.fit in report

@@ -60,11 +60,15 @@ def fetch(output: Path, path: str) -> Any:
     return run(lambda: Recordings(shared(output)).download(path))
 
 
+def asked(output: Path, do: str, **content: Any) -> Any:
+    return run(lambda: ask(Recordings(shared(output)), Page(), do, **content))
+
+
 # The list -------------------------------------------------------------------------------------------
 
 
-def listed(output: Path, **asked: Any) -> Any:
-    return run(lambda: ask(Recordings(shared(output)), Page(), "recordings", **asked))
+def listed(output: Path, **options: Any) -> Any:
+    return asked(output, "recordings", **options)
 
 
 def test_the_list_says_verdict_and_settings_and_whether_there_is_a_picture(
@@ -268,7 +272,7 @@ def test_a_name_is_of_a_file_in_the_directory_or_nothing_happens(output: Path, d
     before = sorted(output.parent.rglob("*"))
     for name in HOSTILE:
         with pytest.raises(ConfigError, match="is not the name of a file in"):
-            run(lambda name=name: ask(Recordings(shared(output)), Page(), do, name=name))
+            asked(output, do, name=name)
     assert sorted(output.parent.rglob("*")) == before
 
 
@@ -290,11 +294,7 @@ def test_a_recording_of_a_map_on_a_device_is_found_with_its_map(output: Path) ->
     hits = output.parent / "maps" / "zwidth-of-a-rig" / "hits"
     hits.mkdir(parents=True)
     shutil.copy(output / "one.parquet", hits / "hit.parquet")
-    facts = run(
-        lambda: ask(
-            Recordings(shared(output)), Page(), "recording", name="hit.parquet", map="zwidth-of-a-rig"
-        )
-    )
+    facts = asked(output, "recording", name="hit.parquet", map="zwidth-of-a-rig")
     assert (facts["name"], facts["map"], facts["complete"]) == ("hit.parquet", "zwidth-of-a-rig", True)
     assert {"fdm", "kalman"} <= set(facts["estimators"])
 
@@ -321,7 +321,7 @@ def test_a_file_that_is_no_recording_is_out_of_reach_of_a_page(name: str, do: st
     place.mkdir(exist_ok=True)
     (place / name).write_bytes(b"another file")
     with pytest.raises(ConfigError, match="is not a recording"):
-        run(lambda: ask(Recordings(shared(output)), Page(), do, name=name))
+        asked(output, do, name=name)
     assert (place / name).read_bytes() == b"another file"
 
 
@@ -340,10 +340,10 @@ def test_a_trash_that_leads_elsewhere_takes_and_gives_nothing(output: Path) -> N
     (output / TRASH).symlink_to(output.parent)
     (output.parent / "of-another.parquet").write_bytes(b"elsewhere")
     with pytest.raises(ConfigError, match="is a symbolic link"):
-        run(lambda: ask(Recordings(shared(output)), Page(), "restore", name="of-another.parquet"))
+        asked(output, "restore", name="of-another.parquet")
     assert (output.parent / "of-another.parquet").exists()
     with pytest.raises(ConfigError, match="is a symbolic link"):
-        run(lambda: ask(Recordings(shared(output)), Page(), "throw-away", name="one.parquet"))
+        asked(output, "throw-away", name="one.parquet")
     assert (output / "one.parquet").exists()
 
 
@@ -353,7 +353,7 @@ def test_a_file_that_is_being_recorded_stays(output: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr("rig.extras.console.recordings.running", lambda *, done: [Loop()])
     with pytest.raises(ConfigError, match="is still being recorded"):
-        run(lambda: ask(Recordings(shared(output)), Page(), "throw-away", name="one.parquet"))
+        asked(output, "throw-away", name="one.parquet")
     assert (output / "one.parquet").exists()
 
 

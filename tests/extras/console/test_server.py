@@ -1,7 +1,6 @@
 """A console and its pages, without a browser: access, messages, the operating page, and STOP."""
 
 import asyncio
-import errno
 import itertools
 import os
 import socket
@@ -9,7 +8,6 @@ import urllib.error
 import urllib.request
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Frame
 from websockets.server import ServerProtocol
 
-from rig.control import estimators
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import Phase, RowFlag
 from rig.extras.console.access import SOCKETS
@@ -149,19 +146,6 @@ async def test_a_loop_that_says_nonsense_of_itself_ends_no_console(
                 await page.ask("stop")
                 assert ring.get(control_words.STOP) == -os.getpid()
                 ring.put(control_words.LOOP_DONE, 1)
-
-
-async def test_a_search_that_finds_no_descriptor_left_is_tried_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searched: Searched
-) -> None:
-    def no_descriptor_left(pid: int | None) -> None:
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    monkeypatch.setattr("rig.extras.console.live.newest", no_descriptor_left)
-
-    async with served(tmp_path) as console, console.page() as page:
-        await searched(2)
-        assert "result" in await page.ask("operate", take=True)
 
 
 async def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
@@ -514,30 +498,6 @@ async def test_a_page_that_reads_nothing_takes_no_more_memory(
             clients[1].put_newest({"say": "a test", "velocity": float("nan")})
             message = await page.until(lambda page: page.newest("a test"))
             assert message["velocity"] is None, "what a browser reads"
-
-
-async def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overrides_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Errands, "run", Here.run)
-
-    async with served(tmp_path) as console, console.page() as page:
-        listed = {one["name"]: one for one in (page.newest("hello") or {})["estimators"]}
-        assert list(listed) == estimators.names()
-        cutoff, order = listed["fdm-butterworth"]["settings"]
-        known = estimators.get("fdm-butterworth").settings
-        assert [{**asdict(one)} for one in known] == [
-            {name: value for name, value in one.items() if name != "whole"} for one in (cutoff, order)
-        ]
-        assert (cutoff["whole"], order["whole"]) == (False, True)
-        assert listed["kalman"]["settings"][0]["choices"] == ["triple", "double"]
-        changes = {"controller.estimator": "fdm-butterworth", "controller.parameters.cutoff_hz": 90}
-        made = (await page.ask("experiment", changes=changes))["result"]
-        assert made["controller"]["parameters"] == {"cutoff_hz": 90}
-        wrong = {**changes, "controller.parameters.cutoff_hz": 1e9}
-        for do, more in (("experiment", {}), ("regions", {"damping": 0.1})):
-            answer = await page.ask(do, changes=wrong, **more)
-            assert "out of range" in answer["error"]["error"], answer
 
 
 async def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_path: Path) -> None:

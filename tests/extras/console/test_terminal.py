@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, PlanError
 from rig.extras.console import consent, hits, session_desk
 from rig.extras.console.errands import Errands
 from rig.extras.console.jobs import Jobs
@@ -26,6 +26,7 @@ from rig.extras.console.terminal import LONGEST, Terminal
 from rig.realtime.hand import SharedHand
 from rig.session.planning._template_files import write_template
 from tests.conformance.console import served, stop_of_this_test
+from tests.conformance.gated import REFUSED, SLOW_S, open_as_real
 from tests.extras.console.console_fakes import CONTENT, Here, Page, ask
 from tests.rig.session.session_fakes import FakeRunner
 
@@ -208,3 +209,11 @@ async def test_a_console_ends_though_it_waits_for_a_word(
         while terminal._asked is None:
             await asyncio.sleep(0.01)
         assert "result" in await page.ask("operate", take=True), "requests are served meanwhile"
+
+
+def test_a_page_asks_the_gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_as_real(monkeypatch, SLOW_S)
+    changes = {"host.realtime": "off", "trial.minimum_rest_counts": 0.0}
+    content = {"url": "serial:///dev/rig", "verified": True, "output": str(tmp_path), "changes": changes}
+    with pytest.raises(PlanError, match=REFUSED):
+        hits.hit(content, Talk(is_detached=False))
