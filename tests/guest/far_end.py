@@ -36,8 +36,7 @@ class Left:
 class FarEnd:
     """A running device process."""
 
-    def __init__(self, process: Any, pipe: Any) -> None:
-        self._process = process
+    def __init__(self, pipe: Any) -> None:
         self._pipe = pipe
         self._left: Left | None = None
 
@@ -61,16 +60,12 @@ class _Watched(SimulatedDevice):
 
 
 @contextlib.contextmanager
-def far_end(
-    model: RigModel, make_port: Callable[[], DevicePort], *, rate: int = RATE, seed: int = 0
-) -> Iterator[FarEnd]:
+def far_end(model: RigModel, make_port: Callable[[], DevicePort]) -> Iterator[FarEnd]:
     """Run a simulated rig in another process behind the port that `make_port` opens there; it outlives its host.
 
     The device is built here, so that its imports and kernels are loaded for the next one and for the host too.
     """
-    device = _Watched(
-        model, position_rate_default=rate, position_rate_maximum=RATE_MAXIMUM, seed=seed, keep_truth=False
-    )
+    device = _Watched(model, position_rate_default=RATE, position_rate_maximum=RATE_MAXIMUM, keep_truth=False)
     device.hardware.prepare()
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe()
@@ -81,7 +76,7 @@ def far_end(
         if not here.poll(WAIT_S):
             raise TimeoutError("the device does not start")
         here.recv()
-        yield FarEnd(process, here)
+        yield FarEnd(here)
     finally:
         process.terminate()
         process.join(WAIT_S)

@@ -44,7 +44,7 @@ class AcmGadget:
 
 
 @contextlib.contextmanager
-def acm_gadget(serial: str, name: str = "simulated rig") -> Iterator[AcmGadget]:
+def acm_gadget(serial: str) -> Iterator[AcmGadget]:
     """Make a gadget with one ACM function, not plugged in yet."""
     place = CONFIGFS / "usb_gadget" / f"rig-{serial}"
     configuration, function = place / "configs" / "c.1", place / "functions" / "acm.0"
@@ -57,7 +57,7 @@ def acm_gadget(serial: str, name: str = "simulated rig") -> Iterator[AcmGadget]:
         (place / "idVendor", f"{VENDOR:#06x}"),
         (place / "idProduct", f"{PRODUCT:#06x}"),
         (texts / "manufacturer", "haptic-rig"),
-        (texts / "product", name),
+        (texts / "product", "simulated rig"),
         (texts / "serialnumber", serial),
         (named / "configuration", "ACM"),
     ):

@@ -43,7 +43,6 @@ CHANGES: dict[str, Any] = {
 PORT = "rig.usb"  # name of the virtio port
 FACTS, STATUS = "pico.json", "pico-status.json"  # in the shared directory
 PACE = 0.25  # at most: the guest is slow too, and what a host must do in time it must do in the board's
-START_S = 60.0
 
 
 def model() -> RigModel:
@@ -61,8 +60,7 @@ def emulated_pico(share: Path) -> Iterator[Path]:
             modules = emulator.modules()
         except pytest.skip.Exception as absent:
             raise GuestAbsentError(str(absent)) from None
-        facts = {"serial": emulator.FLASH_ID.upper(), "firmware": built.firmware}
-        (share / FACTS).write_text(json.dumps(facts))
+        (share / FACTS).write_text(json.dumps({"serial": emulator.FLASH_ID.upper()}))
         with _server(place, built.bin, modules, share / STATUS) as socket:
             yield socket
 

@@ -22,7 +22,6 @@ BYTES = 65536
 @dataclass(frozen=True, slots=True)
 class PluggedPico:
     serial: str
-    firmware: str
 
     @property
     def url(self) -> str:
@@ -50,7 +49,7 @@ def port() -> Path | None:
 @contextlib.contextmanager
 def plugged_pico() -> Iterator[PluggedPico]:
     """Plug the board in until the block ends; possible once in the life of a guest."""
-    facts = json.loads((SHARE / FACTS).read_text())
+    serial = json.loads((SHARE / FACTS).read_text())["serial"]
     path = port()
     assert path is not None
     board = os.open(path, os.O_RDWR)
@@ -63,12 +62,12 @@ def plugged_pico() -> Iterator[PluggedPico]:
     place = vhci.attach(kernel)
     kernel.close()
     try:
-        vhci.wait_for_device(facts["serial"])
-        yield PluggedPico(facts["serial"], facts["firmware"])
+        vhci.wait_for_device(serial)
+        yield PluggedPico(serial)
     finally:
         here.shutdown(socket.SHUT_RDWR)
     vhci.wait_for_free(place)
-    vhci.wait_for_no_device(facts["serial"])
+    vhci.wait_for_no_device(serial)
 
 
 def _write(descriptor: int, data: bytes) -> None:

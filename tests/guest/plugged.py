@@ -9,7 +9,7 @@ from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig.core.model import RigModel
 from sim_backend.ends.usb import UsbPort, UsbShape
 from tests.guest import vhci
-from tests.guest.far_end import RATE, FarEnd, far_end
+from tests.guest.far_end import FarEnd, far_end
 from tests.guest.usbip import Bus
 
 
@@ -60,9 +60,9 @@ def plugged(serial: str, ends: tuple[socket.socket, socket.socket] | None = None
 
 
 @contextlib.contextmanager
-def plugged_rig(serial: str, model: RigModel, *, rate: int = RATE) -> Iterator[Plugged]:
+def plugged_rig(serial: str, model: RigModel) -> Iterator[Plugged]:
     """Plug in a simulated rig, which runs in another process."""
     near, device = pipes()
-    with far_end(model, lambda: UsbPort(device), rate=rate) as end, plugged(serial, (near, device)) as made:
+    with far_end(model, lambda: UsbPort(device)) as end, plugged(serial, (near, device)) as made:
         made.far_end = end
         yield made

@@ -8,13 +8,11 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from serial.tools import list_ports
 
 from rig.cli import device
 from rig.core.errors import DeviceNotFoundError, LinkLostError, UnpluggedError
 from rig.devices import open_device
 from rig.devices.device import DeviceUrl
-from rig.devices.port_facts import available_ports
 from rig.devices.serial import open_link
 from tests.conformance.tolerance import too_busy
 from tests.guest import gadget, vhci
@@ -61,13 +59,6 @@ def rig_on_it(made: Any) -> Iterator[Any]:
         pull(made)
 
 
-def test_the_port_is_listed_with_its_maker_and_number(plugged: Any) -> None:
-    (found,) = [port for port in list_ports.comports() if port.device == PORT]
-    assert (found.vid, found.pid, found.serial_number) == (gadget.VENDOR, gadget.PRODUCT, "acm-1")
-    assert found.manufacturer == "haptic-rig"
-    assert PORT in dict(available_ports())
-
-
 def test_device_list_contains_the_port(plugged: Any) -> None:
     done = CliRunner().invoke(device.list_, ["--json"])
     assert done.exit_code == 0, done.output
@@ -95,12 +86,6 @@ def test_one_program_at_a_time(plugged: Any) -> None:
     with pytest.raises(DeviceNotFoundError, match="in use"):
         open_link(DeviceUrl.parse(URL))
     link.close()
-
-
-def test_device_behind_the_port_is_identified(rig_on_it: Any) -> None:
-    with open_device(URL) as device:
-        assert device.dictionary.device == MODEL.name
-        assert device.dictionary.simulated
 
 
 def test_a_whole_hit(rig_on_it: Any, tmp_path: Path) -> None:

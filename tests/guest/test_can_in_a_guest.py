@@ -18,13 +18,10 @@ from rig.extras.drives import moteus, odrive
 from rig.extras.drives.bus import CanBus, open_bus
 from rig.extras.drives.faults import DriveFault
 from rig.extras.drives.library import Bridge, FittedDrive
-from sim_backend.drives.can_simple import AxisState, CanSimpleCommand, Error
-from sim_backend.drives.multiplex import NOP
-from sim_backend.drives.odrive_law import PASSTHROUGH, TORQUE_CONTROL
+from sim_backend.drives.can_simple import AxisState, CanSimpleCommand
 from sim_backend.drives.process import serve
-from sim_backend.drives.socket_can import BIT_RATE_SWITCH, CLASSIC_BYTES, FD_BYTES
+from sim_backend.drives.socket_can import FD_BYTES
 from tests.conformance.bridged import MOTEUS_SETUP, ODRIVE_SETUP, bridged_rig, endpoints
-from tests.conformance.drives import CAN_FRAME, CANFD_FRAME, drive_rig
 from tests.guest.boot import BUSYBOX
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/sys/module/vcan"), reason="no vcan here: run .ci/guest")
@@ -32,17 +29,7 @@ pytestmark = pytest.mark.skipif(not os.path.exists("/sys/module/vcan"), reason="
 RATE_HZ = 50
 WAIT_S = 60.0  # an emulated processor loads the compiled functions slowly
 SLOW_ODRIVE_SETUP = {odrive.ENCODER_MS: "20", odrive.TORQUES_MS: "20", odrive.WATCHDOG_S: "0.05"}
-UNLIMITED_ODRIVE_SETUP = {odrive.VELOCITY_LIMITED: "0", odrive.OVERSPEED: "0"}
-HEARTBEAT = "IBBBx"  # of an ODrive: error, axis state, result, trajectory done
-VERSION = "4x3Bx"  # of an ODrive: protocol and hardware; firmware (major, minor, revision), unreleased
 IDLE = struct.pack("<I", AxisState.IDLE)
-
-# A moteus (docs/protocol/can.md of mjbots/moteus): host 0 sends to drive 1, which must reply to host 0.
-QUERY_ID, REPLY_ID = 0x8001, 0x0100
-QUERY = bytes.fromhex("140400 1f0d 505050")  # read from 0 four int16, from 13 three floats; three NOP
-REPLY_HEAD = bytes.fromhex("240400")  # then four int16, "2f0d", and three floats, the voltage first
-VOLTAGE_AT, SUPPLY_V = 13, 24.0
-REPLY_END, REPLY_BYTES = 25, 32  # the drive pads its reply with NOP to a length that CAN FD allows
 
 
 def ip_link(*words: str) -> None:
@@ -51,15 +38,15 @@ def ip_link(*words: str) -> None:
 
 @contextmanager
 def served_drive(
-    kind: str, interface: str, *, model: RigModel | None = None, **options: object
+    kind: str, interface: str, model: RigModel, settings: dict[str, str]
 ) -> Iterator[socket.socket]:
     """Serve a drive on a new interface in a thread; yield the socket of a host."""
     ip_link("add", interface, "type", "vcan")
     ip_link("set", interface, "mtu", str(FD_BYTES))  # the interface transmits frames of CAN FD, too
     ip_link("set", interface, "up")
     announced, stop = threading.Event(), threading.Event()
-    options |= {"place": interface, "stop": stop, "announce": lambda _: announced.set()}
-    drive = threading.Thread(target=serve, args=(kind, model or drive_rig()), kwargs=options)
+    options = {"place": interface, "stop": stop, "announce": lambda _: announced.set(), "settings": settings}
+    drive = threading.Thread(target=serve, args=(kind, model), kwargs=options)
     host = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     host.settimeout(WAIT_S)
     host.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
@@ -73,51 +60,6 @@ def served_drive(
         drive.join(WAIT_S)
         host.close()
     assert not drive.is_alive()
-
-
-def send(host: socket.socket, command: CanSimpleCommand, form: str, *values: float) -> None:
-    """Send a message to node 0."""
-    data = struct.pack("<" + form, *values)
-    host.send(CAN_FRAME.pack(command, len(data), data))
-
-
-def receive(host: socket.socket, command: CanSimpleCommand, form: str) -> tuple[float, ...]:
-    while True:
-        identifier, _, data = CAN_FRAME.unpack(host.recv(CLASSIC_BYTES))
-        if identifier == command:
-            return struct.unpack("<" + form, data)
-
-
-def test_an_odrive_is_driven_over_the_kernels_own_can() -> None:
-    with served_drive("odrive", "vcan0", settings=UNLIMITED_ODRIVE_SETUP) as host:
-        error, state, *_ = receive(host, CanSimpleCommand.HEARTBEAT, HEARTBEAT)
-        assert (error, state) == (0, AxisState.IDLE)
-        host.send(CAN_FRAME.pack(socket.CAN_RTR_FLAG | CanSimpleCommand.GET_VERSION, 0, b""))
-        assert receive(host, CanSimpleCommand.GET_VERSION, VERSION) == (0, 6, 11)
-        send(host, CanSimpleCommand.SET_CONTROLLER_MODE, "II", TORQUE_CONTROL, PASSTHROUGH)
-        send(host, CanSimpleCommand.SET_AXIS_STATE, "I", AxisState.CLOSED_LOOP_CONTROL)
-        send(host, CanSimpleCommand.SET_INPUT_TORQUE, "f", 0.02)  # N·m
-        until = time.monotonic() + WAIT_S
-        velocity = 0.0  # rev/s
-        while velocity <= 0.1 and time.monotonic() < until:
-            _, velocity = receive(host, CanSimpleCommand.GET_ENCODER_ESTIMATES, "ff")
-        assert velocity > 0.1
-        send(host, CanSimpleCommand.ESTOP, "")
-        state = AxisState.CLOSED_LOOP_CONTROL
-        while state != AxisState.IDLE:
-            assert time.monotonic() < until
-            error, state, *_ = receive(host, CanSimpleCommand.HEARTBEAT, HEARTBEAT)
-        assert error == Error.ESTOP_REQUESTED
-
-
-def test_a_moteus_answers_in_frames_of_can_fd() -> None:
-    with served_drive("moteus", "vcan1") as host:
-        host.send(CANFD_FRAME.pack(socket.CAN_EFF_FLAG | QUERY_ID, len(QUERY), BIT_RATE_SWITCH, QUERY))
-        identifier, size, _, data = CANFD_FRAME.unpack(host.recv(FD_BYTES))
-        assert (identifier, size) == (REPLY_ID, REPLY_BYTES)
-        assert data.startswith(REPLY_HEAD)
-        assert struct.unpack_from("<f", data, VOLTAGE_AT) == (SUPPLY_V,)
-        assert data[REPLY_END:REPLY_BYTES] == bytes((NOP,)) * (REPLY_BYTES - REPLY_END)
 
 
 def find_drive(kind: str, bus: CanBus, model: RigModel) -> FittedDrive:
@@ -143,7 +85,7 @@ def test_a_bridge_on_the_kernels_own_can(
     """The bridge receives samples; at its end it sends the stop, or reports that the interface is lost."""
     # An interface persists after its test, so each test has its own; a name has at most 15 characters.
     model, interface = bridged_rig(), f"{'lost' if interface_lost else 'stop'}-{kind}"
-    with served_drive(kind, interface, model=model, settings=settings) as host:
+    with served_drive(kind, interface, model, settings) as host:
         bus = open_bus(DeviceUrl(kind, interface, {}, f"{kind}://{interface}"))
         with closing(bus):
             assert isinstance(bus, CanBus)
