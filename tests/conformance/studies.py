@@ -22,11 +22,7 @@ from rig.session.search._observer import Observer
 PRESET = "koul-compliant"
 VERSIONS = {
     "haptic-rig": "0.1.0",
-    "sources": "abc",
-    "python": "3.11",
-    "numpy": "2",
-    "numba": "0",
-    "platform": "test",
+    **dict.fromkeys(("sources", "python", "numpy", "numba", "platform"), "test"),
 }
 
 

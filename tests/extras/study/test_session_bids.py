@@ -265,17 +265,15 @@ def test_missing_and_changed_recordings_are_left_out_and_listed(hit: Any, tmp_pa
     (tmp_path / "P01/trials/t0001.parquet").unlink()
     (tmp_path / "P01/trials/t0002.parquet").write_bytes(b"something else")
     study = read_study([tmp_path])
-    for found, out in (
-        (export_bids(study, tmp_path / "bids"), "bids"),
-        (export_trials(study, tmp_path / "csv", "csv"), "csv"),
-    ):
+    for export, out in ((export_bids, tmp_path / "bids"), (to_csv, tmp_path / "csv")):
+        found = export(study, out)
         assert found.recordings == 2
         assert found.left_out == (
             "P01, trial 1: its recording is missing",
             "P01, trial 2: its recording is changed",
         )
         with pytest.raises(RecordingError, match="exists"):
-            (export_bids if out == "bids" else lambda s, d: export_trials(s, d, "csv"))(study, tmp_path / out)
+            export(study, out)
     (tmp_path / "P01/trials/t0003.parquet").write_bytes(b"no recording")
     careless = read_study([tmp_path], hashes=False)
     with pytest.raises(RecordingError):

@@ -63,18 +63,9 @@ def runs_of_people(
             for order, (condition, damping) in enumerate(cells, start=1):
                 value = 400.0 + offset + apart[condition] + effect * (condition == "b") + 2.0 * damping
                 value += along.get("order", 0.0) * order + along.get("block", 0.0) * (repeat + 1)
-                rows.append(
-                    run_row(
-                        f"P{person:02d}",
-                        condition,
-                        damping,
-                        value + drawn.normal(0.0, scatter),
-                        block=repeat + 1,
-                        order=order,
-                        place=repeat * len(cells) + order,
-                        repeat=repeat + 1,
-                    )
-                )
+                value += drawn.normal(0.0, scatter)
+                places = {"block": repeat + 1, "place": repeat * len(cells) + order, "repeat": repeat + 1}
+                rows.append(run_row(f"P{person:02d}", condition, damping, value, order=order, **places))
     return rows
 
 
@@ -111,10 +102,7 @@ def test_kappa_is_that_of_statsmodels(counts: Any, weights: Any) -> None:
     table = np.array(counts, dtype=float)
     value = agreement.kappa(table, weights[0])
     if math.isnan(value):  # nothing, or nothing that chance would not do
-        assert table.sum() == 0 or (
-            np.count_nonzero(table.sum(axis=0)),
-            np.count_nonzero(table.sum(axis=1)),
-        ) == (1, 1)
+        assert all(np.count_nonzero(table.sum(axis=axis)) <= 1 for axis in (0, 1))
         return
     with np.errstate(all="ignore"):  # theirs divides by nothing on its way
         theirs = import_module("statsmodels.stats.inter_rater").cohens_kappa(table, wt=weights[1])
@@ -289,12 +277,9 @@ def test_an_interval_says_what_it_is_of(values: Any, interval: str, low: float |
     assert math.isnan(one.student_low) == (len(set(values)) < 3)
     assert math.isnan(one.bootstrap_low) == (len(set(values)) < 3)
     if low is None:  # the other one stands beside it
-        ends = {
-            "Student": (one.student_low, one.student_high),
-            "bootstrap": (one.bootstrap_low, one.bootstrap_high),
-        }
-        assert (one.low, one.high) == ends[interval]
-        assert ends["Student"] != ends["bootstrap"]
+        student, bootstrap = (one.student_low, one.student_high), (one.bootstrap_low, one.bootstrap_high)
+        assert (one.low, one.high) == (student if interval == "Student" else bootstrap)
+        assert student != bootstrap
 
 
 def test_a_single_series_has_no_interval_of_its_own() -> None:
@@ -384,19 +369,12 @@ def test_the_mixed_model_is_that_of_the_formula() -> None:
     rows = runs_of_people(people=9, dampings=(0.0, 3.0, 7.0), order=4.0, block=-6.0, scatter=20.0)
     drawn = np.random.default_rng(3)
     apart = {(f"P{person:02d}", b): drawn.normal(0.0, 25.0) for person in range(9) for b in (0.0, 3.0, 7.0)}
-    rows = [
-        run_row(
-            row.participant,
-            row.condition,
-            row.damping,
-            row.limits["rule"].value + apart[row.participant, row.damping],
-            order=row.order,
-            block=row.block,
-        )
-        for row in rows
-        if (row.participant, row.block, row.order)
-        not in (("P03", 1, 1), ("P05", 3, 4))  # so that order and block differ
-    ]
+    left_out = ("P03", 1, 1), ("P05", 3, 4)  # so that order and block differ
+    rows = [row for row in rows if (row.participant, row.block, row.order) not in left_out]
+    for number, row in enumerate(rows):
+        limit = row.limits["rule"]
+        value = limit.value + apart[row.participant, row.damping]
+        rows[number] = replace(row, limits={"rule": replace(limit, value=value)})
     model = model_of(rows)
     columns = ["participant", "condition", "order", "block"]
     values = [
@@ -582,14 +560,10 @@ def quantised(scatter: float) -> Any:
         for n in range(6)
         for name in "ab"
     ]
-    return [
-        replace(
-            row,
-            order=1 + ((number // 2 + number) % 2),
-            limits={"rule": replace(row.limits["rule"], step=STEP)},
-        )
-        for number, row in enumerate(rows)
-    ]
+    for number, row in enumerate(rows):
+        limits = {"rule": replace(row.limits["rule"], step=STEP)}
+        rows[number] = replace(row, order=1 + ((number // 2 + number) % 2), limits=limits)
+    return rows
 
 
 @pytest.mark.parametrize(("scatter", "resolved"), [(0.0, False), (0.2, False), (0.6, False), (2.0, True)])
@@ -723,14 +697,9 @@ def test_known_functions_lie_within_their_intervals() -> None:
         )
         verdicts = [(level, truth.judge(level, drawn)) for level in LEVELS * 6]
         found = psychometric.fit("P01", "a", 0.0, "person", LEVELS, verdicts)
-        for place, (posterior, value) in enumerate(
-            (
-                (found.threshold, truth.threshold),
-                (found.spread, truth.spread),
-                (found.lapse_rate, truth.lapse_rate),
-            )
-        ):
-            held[place] += posterior.low <= value <= posterior.high
+        for place, name in enumerate(("threshold", "spread", "lapse_rate")):
+            posterior = getattr(found, name)
+            held[place] += posterior.low <= getattr(truth, name) <= posterior.high
     assert (held >= 34).all()
 
 

@@ -1,7 +1,7 @@
 """A person in the model and in an experiment: grips, impedance, and a hand that pushes in place of the motor."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,13 +68,6 @@ def test_the_rig_rests_at_the_intended_position_of_the_hand() -> None:
 # Experiments
 
 
-def test_by_default_the_motor_pushes_and_the_end_mass_is_on() -> None:
-    model = config.rig_model(KOUL)
-    assert (model.operator, model.reach) == (None, None)
-    assert model.mechanics.end_mass == 0.07
-    assert config.motor_push(KOUL) == 0.15
-
-
 def test_with_a_person_the_motor_pushes_nothing_and_the_end_mass_is_off() -> None:
     experiment = held()
     model = config.rig_model(experiment)
@@ -107,15 +100,6 @@ def test_a_grip_brings_its_numbers_and_single_ones_may_be_set() -> None:
         "x",
     )
     assert from_file.operator == replace(GRIPS["relaxed"], depth=0.003)
-
-
-def test_a_recorded_experiment_has_every_number_of_its_operator() -> None:
-    written = config.as_mapping(held(operator__grip="firm"))["operator"]
-    assert set(written) == {item.name for item in fields(Operator)}
-    assert (
-        config.experiment_from_mapping(config.as_mapping(held(operator__grip="firm")), "x").operator
-        == GRIPS["firm"]
-    )
 
 
 @pytest.mark.parametrize(

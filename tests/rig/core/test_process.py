@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Any
 
@@ -76,37 +75,6 @@ def test_a_process_ends_with_a_killed_parent() -> None:
             assert is_alive(forked)
         finally:
             os.kill(forked, signal.SIGKILL)
-
-
-def process_state() -> tuple[Any, ...]:
-    """Return the state of this process that starting a child must not change, even for a moment."""
-    main = sys.modules["__main__"]
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
-    return main, dict(os.environ), os.getcwd(), sys.argv[:], sys.path[:], [*map(signal.getsignal, numbers)]
-
-
-@pytest.mark.exhaustive("::test_a_process_outlives_the_thread_that_started_it_and_ends_with_its_context")
-def test_several_threads_start_some_at_a_time_and_nothing_of_the_program_changes() -> None:
-    before, over = process_state(), threading.Event()
-
-    def looked() -> bool:
-        while not over.is_set():
-            if process_state() != before:
-                return False
-        return True
-
-    def start(number: int) -> int:
-        with serving(f"process {number}") as pid:
-            return int(pid)
-
-    with ThreadPoolExecutor() as threads:
-        same = threads.submit(looked)
-        try:
-            assert len(set(threads.map(start, range(4)))) == 4
-        finally:
-            over.set()
-        assert same.result()
-    assert process_state() == before
 
 
 def test_an_error_in_the_process_is_raised_here_and_an_early_end_is_named() -> None:

@@ -43,13 +43,6 @@ def test_the_bounce_is_a_mass_on_a_spring_that_met_the_wall_with_the_approach_sp
     assert a + 2 * 0.1 * natural * v + natural**2 * x == pytest.approx(0.0, abs=1e-9 * natural)
 
 
-def test_numbers_of_the_reference_hit() -> None:
-    """PHYSICS 2i (C): 0.1 m/s, 34 Hz, ζ = 0.05, v·ω = 21.4 m/s²."""
-    motion = SIGNALS["wall-bounce"](np.linspace(0.0, 0.5, 100_001))
-    assert motion.velocity.max() == pytest.approx(0.1)
-    assert 0.9 * 21.4 < np.abs(motion.acceleration).max() < 21.4
-
-
 def brute_force_edges(signal: Signal, times: np.ndarray, resolution: float, offset: float) -> np.ndarray:
     t = np.arange(round(times[-1] / FINE) + 1) * FINE
     cell = np.floor(signal(t).position / resolution + offset)

@@ -48,30 +48,17 @@ WAIT_S = 20.0
 COMPLIANT = presets.load("koul-compliant")
 
 
-def state_frame(index: int, *, session: int = SESSION, sequence: int | None = None, **fields: int) -> bytes:
+def state_frame(index: int, *, session: int = SESSION, **fields: int) -> bytes:
     """Return a STATE frame: sample `index` of a device that ticks each millisecond and rests at count 0."""
-    time_units = index * 16_000
-    values = {
-        "command_sequence": 0,
-        "command_age": m.NO_COMMAND_YET,
+    times = {"device_time": index * 16_000 % WRAP, "edge_time": (index * 16_000 - 1600) % WRAP}
+    known = {
         "sample_index": index % WRAP,
-        "device_time": time_units % WRAP,
-        "count": 0,
-        "edge_time": (time_units - 1600) % WRAP,
-        "current_measured": 0,
-        "current_commanded": 0,
-        "limits": 0,
-        "fault": 0,
-        "execution_time": 0,
-        "missed_ticks": 0,
+        "command_age": m.NO_COMMAND_YET,
         "state": int(State.RUNNING),
-        "inputs": 0,
-        "phase": 0,
-        "sync_time": 0,
-        **fields,
+        **times,
     }
-    raw = pack(m.State(**values), session=session, sequence=(index if sequence is None else sequence) % 65536)
-    return encode_frame(raw)
+    values = dict.fromkeys(STATE._fields, 0) | known | fields
+    return encode_frame(pack(m.State(**values), session=session, sequence=index % 65536))
 
 
 # ---------------------------------------------------------------------- frames: newest_state

@@ -156,17 +156,6 @@ def wait_for_stop(ring: Ring) -> None:
     ring.put(control_words.LOOP_DONE, 1)
 
 
-def test_command_succeeds_when_no_loop_runs(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(running, "stop", lambda pid, asked: [])
-    monkeypatch.setattr(running, "hidden", list)
-    assert rig.cli.run(["stop"]) == 0
-    assert capsys.readouterr().out == "no loop runs in real time: nothing to stop\n"
-    assert rig.cli.run(["stop", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"loops": [], "hidden": []}
-
-
 def test_command_reports_a_loop_that_does_not_stop(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,13 +7,12 @@ import errno
 import json
 import mmap
 import os
+import re
 import resource
 import subprocess
 import sys
 import textwrap
-import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -100,26 +99,6 @@ def test_contexts_within_each_other_give_back_in_turn() -> None:
 
     fifo = "SCHED_FIFO"
     assert in_thread(body) == [(fifo, 30), (fifo, 40), (fifo, 30), ("SCHED_OTHER", 0)]
-
-
-@pytest.mark.usefixtures("realtime_rights")
-def test_leaving_twice_or_elsewhere_changes_nothing() -> None:
-    with obtained(Asked()) as realtime:
-        realtime.leave_thread()
-        entered, left = threading.Event(), threading.Event()
-
-        def body() -> ThreadState:
-            realtime.enter_thread()
-            entered.set()
-            left.wait(CHILD_S)
-            return ThreadState.here()
-
-        with ThreadPoolExecutor(1) as fresh:
-            other = fresh.submit(body)
-            assert entered.wait(CHILD_S)
-            realtime.leave_thread()  # this thread never entered
-            left.set()
-            assert other.result(CHILD_S).is_fifo
 
 
 @pytest.mark.usefixtures("realtime_rights")
@@ -212,17 +191,9 @@ def test_the_stack_of_an_entered_thread_is_there() -> None:
         with obtained(Asked()) as realtime:
             realtime.enter_thread()
             below = calls.stack_top() - 400 * KIB
-        for mapping in Path("/proc/self/smaps").read_text().split("VmFlags:"):
-            lines = [line for line in mapping.splitlines() if line]
-            head = next(
-                (line for line in lines if "-" in line.split()[0] and ":" not in line.split()[0]), None
-            )
-            if head is None:
-                continue
-            start, end = (int(part, 16) for part in head.split()[0].split("-"))
-            if start <= below < end:
-                return next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
-        return 0
+        smaps = Path("/proc/self/smaps").read_text()
+        mappings = re.findall(r"^([0-9a-f]+)-([0-9a-f]+) (?:.*\n)+?Rss: +(\d+)", smaps, re.M)
+        return next(int(kib) for start, end, kib in mappings if int(start, 16) <= below < int(end, 16))
 
     assert in_thread(body) >= 256
 
@@ -374,15 +345,9 @@ def test_memory_is_not_locked_near_its_limit(monkeypatch: pytest.MonkeyPatch) ->
     assert "memlock unlimited" in refusal.remedy
 
 
-def rights(**changes: object) -> Rights:
-    known = {
-        "user": "ada",
-        "groups": frozenset(),
-        "priority_limit": 0,
-        "locked_limit": 65536,
-        "capabilities": 0,
-    }
-    return Rights(**{**known, **changes})
+def rights(**changes: Any) -> Rights:
+    known: dict[str, Any] = dict.fromkeys(("priority_limit", "capabilities"), 0)
+    return Rights(**{**known, "user": "ada", "groups": frozenset(), "locked_limit": 65536, **changes})
 
 
 def tree(root: Path, **files: str) -> Path:
@@ -457,23 +422,6 @@ def test_processor_lists_are_read_as_the_kernel_writes_them(cpus: Any) -> None:
             runs.append([cpu])
     text = ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
     assert facts.cpu_list(text) == cpus
-
-
-def test_facts_of_a_machine(tmp_path: Path) -> None:
-    tree(
-        tmp_path,
-        proc__sys__kernel__sched_rt_runtime_us="950000",
-        proc__sys__kernel__sched_rt_period_us="1000000",
-        sys__devices__system__clocksource__clocksource0__current_clocksource="tsc",
-        sys__devices__system__cpu__cpu0__cpufreq__scaling_governor="powersave",
-        sys__devices__system__cpu__cpu1__cpufreq__scaling_governor="performance",
-    )
-    assert facts.describe_scheduling(1, tmp_path)["governor"] == "performance"
-    assert facts.describe_scheduling(None, tmp_path)["governor"] == "performance, powersave"
-    assert facts.describe_scheduling(None, tmp_path)["rt_runtime_us"] == 950000
-    empty = facts.describe_scheduling(None, tmp_path / "nowhere")
-    assert empty["rt_runtime_us"] is None
-    assert empty["clock_source"] == ""
 
 
 def test_locked_mappings_are_read_from_smaps() -> None:

@@ -1,6 +1,5 @@
 """The recorder beside a running producer: no row lost or torn, however the loop or the process ends."""
 
-import errno
 import os
 import resource
 import threading
@@ -18,7 +17,6 @@ from rig.experiments.trials.recover import recover
 from rig.realtime.control_words import DROPPED, HEAD, LOOP_DONE, TAIL, TICKS
 from rig.realtime.ring import Ring
 from rig.realtime.running import running
-from rig.realtime.system import descriptor_sync
 from rig.recording._capture import pack_header
 from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S, Recorder, write_all
@@ -104,20 +102,14 @@ def test_rows_reach_the_file_while_the_loop_runs(tmp_path: Path) -> None:
     assert open_recording(path).complete
 
 
-def test_an_empty_trial_is_a_recording(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "trial.rigcap", HEADER, Ring.allocate(4)):
-        pass
+def test_an_empty_trial_is_a_recording_that_counts_what_was_dropped(tmp_path: Path) -> None:
+    ring = Ring.allocate(4)
+    with Recorder(tmp_path / "trial.rigcap", HEADER, ring):
+        ring.put(DROPPED, 17)
     found = open_recording(tmp_path / "trial.rigcap")
     assert (len(found), found.complete) == (0, True)
     assert found.trailer is not None
-    assert found.trailer["reason"] == "finished"
-
-
-def test_dropped_rows_are_in_the_trailer(tmp_path: Path) -> None:
-    ring = Ring.allocate(4)
-    with Recorder(tmp_path / "trial.rigcap", HEADER, ring) as recorder:
-        ring.put(DROPPED, 17)
-        assert recorder.finish()["recorder"]["dropped"] == 17
+    assert (found.trailer["reason"], found.trailer["recorder"]["dropped"]) == ("finished", 17)
 
 
 def test_an_exception_of_the_loop_ends_the_recording_and_passes(tmp_path: Path) -> None:
@@ -161,13 +153,6 @@ def test_rows_of_another_kind_are_refused(tmp_path: Path) -> None:
     header = {**HEADER, "schema": {"row_bytes": ROW.itemsize + 8, "columns": []}}
     with pytest.raises(RecordingError, match="does not describe the rows"):
         Recorder(tmp_path / "trial.rigcap", header, Ring.allocate(4))
-
-
-def test_syncing_is_asked_only_of_files(tmp_path: Path) -> None:
-    with open(tmp_path / "file", "wb") as file, open("/dev/full", "wb") as device:
-        assert descriptor_sync(file.fileno()) == 0
-        assert descriptor_sync(device.fileno()) == 0
-    assert descriptor_sync(-1) == errno.EBADF
 
 
 def test_partial_writes_are_continued() -> None:

@@ -21,7 +21,7 @@ from rig.recording._parquet import write_parquet
 from rig.recording.data import Recording
 from rig.recording.export import export
 from rig.recording.reader import open_recording
-from rig.recording.seal import seal, with_truth
+from rig.recording.seal import seal
 from rig.recording.timing import NO_AGE
 from tests.conformance.recording import example_header, example_rows, example_truth
 
@@ -170,10 +170,6 @@ def test_truth_is_joined_by_sample_index(capture: Path, recording: Recording) ->
     assert found.units["velocity_true"] == "rad/s"
     for name in recording.names:
         assert found.column(name).tobytes() == recording.column(name).tobytes()
-
-
-def test_no_truth_at_all_is_nan(recording: Recording) -> None:
-    assert np.isnan(with_truth(recording, example_truth(np.zeros(0, np.int64))).column("position_true")).all()
 
 
 def test_the_trailer_can_grow(capture: Path) -> None:

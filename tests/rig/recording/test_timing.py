@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rig.core.clock_fit import ClockFit
 from rig.core.present import plain
 from rig.core.sample import ROW, RowFlag
-from rig.recording._timing_summary import EDGES_NS, LOWEST_NS, WORST, summarise
+from rig.recording._timing_summary import WORST, summarise
 from rig.recording.timing import LATENESS, NO_AGE, STAGES, WRAP_NS, device_times, ledger
 
 PERIOD_NS = 500_000
@@ -235,12 +235,6 @@ def test_quantiles_and_histogram_count_what_is_there(values: list[int]) -> None:
     edges = [-math.inf, *summary.edges_ns, math.inf]
     inside = [sum(low <= v < high for v in values) for low, high in pairwise(edges)]
     assert stage.counts == inside
-
-
-def test_edges_are_a_tenth_of_a_decade_apart_and_whole() -> None:
-    assert EDGES_NS[0] == LOWEST_NS
-    assert EDGES_NS[-1] == 10**10
-    assert np.log10(EDGES_NS[1:] / EDGES_NS[:-1]) == pytest.approx(0.1, abs=0.003)
 
 
 def test_the_worst_ticks_come_first_with_their_stages() -> None:

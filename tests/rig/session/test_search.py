@@ -343,19 +343,6 @@ def ratio_levels(lowest: Any, highest: Any, ratio: Any) -> Any:
     return tuple(lowest * ratio**place for place in range(count))
 
 
-def test_values_of_k50_are_spaced_like_the_levels() -> None:
-    steps = np.diff(psychometric.of_levels(LEVELS).edges)
-    np.testing.assert_allclose(steps, steps[0])
-    levels = ratio_levels(50.0, 3000.0, 1.1)
-    for others in ((), (90.0, 1000.0)):  # of another version of the protocol
-        grid = psychometric.of_levels(tuple(sorted({*levels, *others})))
-        ratios = grid.edges[1:] / grid.edges[:-1]
-        np.testing.assert_allclose(ratios, ratios[0])
-        assert ratios[0] < 1.1 ** (0.9 if others else 0.45)
-        assert grid.edges[0] < levels[0] / 5
-        assert grid.edges[-1] > levels[-1] * 5
-
-
 @pytest.mark.parametrize(
     ("threshold", "share"), first_by_default([(80.0, 0.04), (120.0, 0.04), (80.0, 0.01), (2000.0, 0.01)])
 )

@@ -1,8 +1,6 @@
 """Allowed bands of impact speed and press: values outside, their consequences and reasons, and the simulated hand."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
@@ -221,11 +219,3 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
     assert "required 0.17 to 0.23 N·m" in found["trial.press"].text
     assert found["trial.impact_speed"].outcome is Outcome.WARNING
     assert "operator.reach_s" in found["trial.impact_speed"].remedy
-
-
-@pytest.mark.exhaustive(
-    "tests/rig/realtime/test_kernel.py::test_modules_without_kernels_do_not_load_the_compiler"
-)
-def test_reading_a_protocol_or_analysing_a_study_does_not_import_the_simulated_hand() -> None:
-    script = "import sys, rig.session.planning._load, rig.extras.study; print({'numba', 'scipy'} & set(sys.modules))"
-    assert subprocess.check_output([sys.executable, "-c", script], text=True) == "set()\n"

@@ -101,12 +101,6 @@ def test_theory_says_which_levels_are_unstable_in_a_hand_and_free(plan: StudyPla
         assert cell.expected.limit.most == 2.5 * max(held)  # friction
 
 
-def test_a_plan_lists_what_is_hidden_from_whom(plan: StudyPlan, schemes: Protocol) -> None:
-    assert [line.partition(":")[0] for line in plan.hidden] == ["operator", "participant"]
-    study = replace(schemes.study, blind="participant")
-    assert len(check(replace(schemes, study=study), Path()).hidden) == 1
-
-
 def test_unsuitable_settings_are_warned_of_or_refused(schemes: Protocol, plan: StudyPlan) -> None:
     """Each plan has several unsuitable settings, which its checks name apart."""
     likely = max(cell.expected.limit.likely for cell in plan.cells)

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.core.errors import ConfigError
 from rig.session.engine._directory import study_directory
 from rig.session.engine._rehearsal import Person, thresholds_of
 from rig.session.engine._run import rehearsal_desk, run_session
@@ -70,14 +69,6 @@ def test_names_are_made_one_spelling_where_they_enter() -> None:
     assert protocol.practice.condition == "dual hidden"
     assert protocol_from_mapping(as_mapping(protocol), "again") == protocol
     assert thresholds_of([f" {NFD} =430"]) == {"Größe": 430.0}
-
-
-@pytest.mark.parametrize("twin", ["dual hidden ", f"dual{NBSP}hidden", "dual  hidden"])
-def test_conditions_that_differ_by_a_blank_are_one_name_twice(twin: str) -> None:
-    with pytest.raises(ConfigError, match="is used more than once"):
-        protocol_named("dual hidden", twin)
-    with pytest.raises(ConfigError, match="is used more than once"):
-        protocol_named("Größe", NFD)
 
 
 def test_a_question_its_choices_and_what_is_fitted_are_names_too() -> None:

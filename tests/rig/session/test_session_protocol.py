@@ -374,16 +374,6 @@ def test_a_code_that_identifies_a_person_is_refused(code: str, words: str) -> No
 # Schema and templates
 
 
-def test_the_schema_for_editors_knows_every_key_with_meaning_and_unit() -> None:
-    schema = json_schema()
-    for parameter in parameters_of(Protocol).values():
-        entry = schema["$defs"][parameter.section.__name__]["properties"][parameter.key.rpartition(".")[2]]
-        assert parameter.meaning in entry["description"]
-    assert "[N·m/rad or N/m]" in schema["$defs"]["Search"]["properties"]["lowest"]["description"]
-    assert set(schema["required"]) == {"study", "condition", "search"}
-    json.dumps(schema)
-
-
 @cache
 def editor() -> Any:
     """Return an editor's validator of the JSON schema."""

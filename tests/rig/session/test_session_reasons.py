@@ -13,7 +13,7 @@ from rig.config import presets, verdict_thresholds
 from rig.control import verdict
 from rig.control._measure import NUMBERS
 from rig.control.verdict import INVALID as MAKES_INVALID
-from rig.control.verdict import TOGGLES, Objection
+from rig.control.verdict import Objection
 from rig.core.errors import GuardError
 from rig.core.present import plain
 from rig.session.engine._conduct import conduct
@@ -72,12 +72,6 @@ def test_an_unknown_reason_is_hidden() -> None:
     several = [reason(Objection.SLEW_BOUND), reason(Objection.IDLE_SATURATION), reason(Objection.TOO_SHORT)]
     assert summarise_reasons(several, blind=True) == f"{RIG_LIMIT}; the trial was too short"
     assert summarise_reasons([], blind=True) == ""
-
-
-def test_a_dead_channel_of_the_encoder_is_shown() -> None:
-    text = reason(Objection.NEVER_TOUCHED, toggles=TOGGLES)
-    assert summarise_reasons([text], blind=True) == text
-    assert "one channel of the encoder is dead" in text
 
 
 def invalid(*objections: Objection, **more: Any) -> dict[str, Any]:
