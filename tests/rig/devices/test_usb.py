@@ -1,15 +1,18 @@
 """USB links: opening and its errors, on a fake bus. tests/system/usb tests the transfers themselves."""
 
 import errno
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import usb.core
+from usb.backend.libusb1 import _libusb_errno
 
 from rig.core.errors import ConfigError, DeviceNotFoundError, IncompatibleDeviceError
 from rig.devices import _usb_handle as usb_handle
+from rig.devices import _usb_transfers as compiled
 from rig.devices import open_link
 from rig.devices import usb as links
 from rig.realtime.scheduling.refusals import RULES_COMMAND
@@ -59,29 +62,14 @@ class Device:
     def __getitem__(self, index: int) -> list[Interface]:
         return self._configuration
 
-    def _do(self, name: str) -> None:
-        self.calls.append(name)
-        if name in self._fails:
-            raise self._fails[name]
-
-    def get_active_configuration(self) -> None:
-        self._do("get_active_configuration")
-
-    def set_configuration(self) -> None:
-        self._do("set_configuration")
-
-    def is_kernel_driver_active(self, interface: int) -> bool:
-        self._do("is_kernel_driver_active")
+    def _do(self, name: str, *arguments: Any) -> bool:
+        self.calls.append(" ".join([name, *(f"{end:#x}" for end in arguments if end)]))
+        if self.calls[-1] in self._fails:
+            raise self._fails[self.calls[-1]]
         return self._driver
 
-    def detach_kernel_driver(self, interface: int) -> None:
-        self._do("detach_kernel_driver")
-
-    def attach_kernel_driver(self, interface: int) -> None:
-        self._do("attach_kernel_driver")
-
-    def clear_halt(self, end: int) -> None:
-        self._do(f"clear_halt {end:#x}")
+    def __getattr__(self, name: str) -> Any:
+        return partial(self._do, name)
 
 
 def hub() -> Device:
@@ -255,41 +243,21 @@ def test_an_untested_libusb_is_named_and_not_used(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_layout_of_a_transfer_is_what_the_compiled_code_reads() -> None:
-    from rig.devices import _usb_transfers as compiled  # noqa: PLC0415
-
     assert usb_handle.Transfer.status.offset == compiled.STATUS_AT
     assert usb_handle.Transfer.length.offset == compiled.LENGTH_AT == compiled.STATUS_AT + 4
     assert usb_handle.Transfer.actual_length.offset == compiled.ACTUAL_AT
     assert usb_handle.Transfer.user_data.offset == compiled.USER_DATA_AT
 
 
-@pytest.mark.parametrize(
-    ("status", "number"),
-    [
-        (0, 0),
-        (1, errno.EIO),
-        (2, errno.ETIMEDOUT),
-        (3, errno.ECANCELED),
-        (4, errno.EPIPE),
-        (5, errno.ENODEV),
-        (6, errno.EOVERFLOW),
-        (7, errno.EIO),
-        (-1, errno.EIO),
-    ],
-)
-def test_libusbs_statuses_are_error_numbers(status: int, number: Any) -> None:
-    from rig.devices._usb_transfers import errno_of_status  # noqa: PLC0415
-
-    assert errno_of_status(status) == number
+def test_libusbs_statuses_are_error_numbers() -> None:
+    numbers = [0, errno.EIO, errno.ETIMEDOUT, errno.ECANCELED, errno.EPIPE, errno.ENODEV, errno.EOVERFLOW]
+    assert [compiled.errno_of_status(status) for status in range(7)] == numbers
+    assert compiled.errno_of_status(7) == compiled.errno_of_status(-1) == errno.EIO
 
 
 def test_libusbs_codes_are_those_that_pyusb_knows() -> None:
     """pyusb has its own table, which is independent."""
-    from usb.backend.libusb1 import _libusb_errno  # noqa: PLC0415
-
-    from rig.devices._usb_transfers import errno_of_code  # noqa: PLC0415
-
     for code, number in _libusb_errno.items():
         known = number is not None and code not in (-10, -12, -99)
-        assert errno_of_code(code) == (number if known else errno.EIO) or code == 0
-    assert errno_of_code(0) == errno_of_code(5) == 0
+        assert compiled.errno_of_code(code) == (number if known else errno.EIO) or code == 0
+    assert compiled.errno_of_code(0) == compiled.errno_of_code(5) == 0
