@@ -26,7 +26,6 @@ from rig.devices.device import Link
 from tests.conformance.host import RUN_PARAMETERS, Host
 
 LONG_AGO = 1_000  # STATEs: at every rate here more than the life of a command
-REST_TICKS = 100  # in which a host that ignores a fault moves nothing
 _U16 = 0xFFFF
 
 
@@ -47,6 +46,8 @@ class FarEnd(ABC):
         How well `effort` is known (quanta).
     send_every
         Ticks between two commands.
+    rest_ticks
+        Ticks in which a host that ignores a fault must move nothing.
     late
         Ticks by which this far end may show an effect later: an emulator runs in slices.
     strikes
@@ -59,8 +60,7 @@ class FarEnd(ABC):
     mode, current, lifetime_us, ramp_us = Mode.CURRENT, 200, 20_000, 10_000
     most = 200.0
     grain = 0.0
-    send_every = 1
-    late = 0
+    send_every, rest_ticks, late = 1, 100, 0
 
     def __init__(self, link: Link) -> None:
         self.host = Host(link)
@@ -313,7 +313,7 @@ def _check_latched(far: FarEnd, faults: tuple[Fault, ...]) -> None:
     fault = far.state.fault
     assert (far.state.state, fault in faults) == (State.FAULT, True), far.state
     assert not far.enabled()
-    assert not any(far.watch(REST_TICKS, far.command))
+    assert not any(far.watch(far.rest_ticks, far.command))
     assert (far.state.fault, far.enabled()) == (fault, False)
     far.host.identify()
     assert far.host.connection.state is State.FAULT
@@ -353,7 +353,7 @@ def check_hold_to_run(far: FarEnd) -> None:
     far.hold(True)
     far.push()
     far.hold(False)
-    assert not any(far.watch(REST_TICKS, far.command)[1 + far.late :])
+    assert not any(far.watch(far.rest_ticks, far.command)[1 + far.late :])
     assert (far.state.state, far.state.fault) == (State.RUNNING, Fault.NONE), far.state
     assert far.state.limits & LimitFlag.HOLD_TO_RUN_RELEASED
     assert not far.state.inputs & Input.HOLD_TO_RUN

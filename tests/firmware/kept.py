@@ -1,5 +1,6 @@
 """A cache of compiled files, shared by test processes and runs."""
 
+import fcntl
 import hashlib
 import tempfile
 from collections.abc import Callable, Iterable
@@ -12,14 +13,15 @@ def kept(key: str, make: Callable[[Path], None]) -> Path:
     """Return a directory that `make` has filled for this key, now or in an earlier run; safe for parallel calls."""
     path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     if not path.exists():
-        with tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY, prefix="test-") as workplace:
-            made = Path(workplace) / "made"
-            made.mkdir()
-            make(made)
-            try:
+        with open(f"{path}.lock", "w") as lock, tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY) as workplace:
+            fcntl.flock(
+                lock, fcntl.LOCK_EX
+            )  # linking an image takes seconds, which two processes need not spend
+            if not path.exists():
+                made = Path(workplace) / "made"
+                made.mkdir()
+                make(made)
                 made.rename(path)
-            except OSError:
-                assert path.exists()  # another process was first
     return path
 
 

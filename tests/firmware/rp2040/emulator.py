@@ -13,6 +13,7 @@ import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rig.config._derive import rig_model
+from rig.config._load import override
+from rig.config.presets import load
 from rig.core.model import RigModel
 from rig.firmware._build import DEVICE, BuildResult
 from rig.realtime.clock import VirtualClock
@@ -51,6 +55,25 @@ PINS = {
     "sync_in": 4,
     "sync_out": 5,
 }
+PRESET = "koul-rigid"
+# Images of the tests: changes of the rig, settings of the board. Linking takes seconds, so "full" has the converter,
+# every optional signal of the encoder, and an amplifier that delays its set-point as an ESCON by PWM does.
+IMAGES: dict[str, tuple[dict[str, object], dict[str, Any]]] = {
+    "usual": ({}, {}),
+    "full": (
+        {"rig.amplifier.set_point_delay_s": 1e-4},
+        {"output": "dac", "encoder_lines": "complementary"}
+        | dict.fromkeys(("encoder_index", "limit_switch"), "wired"),
+    ),
+}
+
+
+@cache
+def built(name: str) -> tuple[RigModel, BuildResult]:
+    """Return the rig and the firmware of one of `IMAGES`."""
+    changes, settings = IMAGES[name]
+    model = rig_model(override(load(PRESET), changes))
+    return model, image(model, **settings)
 
 
 def image(model: RigModel, application: str = DEVICE, **settings: Any) -> BuildResult:

@@ -14,10 +14,10 @@ from rig.config.controller import prepare_controller
 from rig.config.presets import load
 from rig.firmware._build import BuildResult
 from tests.conformance.host import RUN_PARAMETERS, Host
-from tests.firmware.rp2040.emulator import Pico, PicoLink, Ticks
+from tests.firmware.rp2040.emulator import PRESET, Pico, PicoLink, Ticks
 
 SUPERVISE_S = 0.005
-ESTIMATOR = "fdm-butterworth-fixed"
+WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_limit": 2**32 - 1}
 
 
 class Session:
@@ -48,7 +48,7 @@ class Session:
 
     def push(self, current: int = 300, position_rate: int = 5_000) -> None:
         """Arm and command a current (quanta), without position limits."""
-        self.configure(position_rate=position_rate, window_minimum=-(2**31), window_maximum=2**31 - 1)
+        self.configure(position_rate=position_rate, **WIDE_OPEN)
         self.arm()
         self.host.command(current)
         self.listen(0.002)
@@ -56,23 +56,26 @@ class Session:
         assert look["enabled"]
         assert look["current"] == pytest.approx(current * 1e-3, abs=0.002)
 
-    def configure_law(self, position_rate: int, velocity_rate: int, **changes: Any) -> dict[str, Value]:
-        """Configure a trial with the integer law on the device."""
-        experiment = override(
-            load("koul-rigid"),
-            {
-                "controller.loop": "device",
-                "controller.estimator": ESTIMATOR,
-                "controller.position_rate": position_rate,
-                "controller.velocity_rate": velocity_rate,
-            },
-        )
+    def begin_law(self, position_rate: int, velocity_rate: int, **changes: Any) -> dict[str, Value]:
+        """Arm a trial with the integer law on the device; return its parameters.
+
+        It goes to the start six times as fast as a person would like, so that 80 ms contain homing, settling and a
+        contact.
+        """
+        keys = {"loop": "device", "estimator": "fdm-butterworth-fixed", "position_rate": position_rate}
+        keys |= {"velocity_rate": velocity_rate}
+        experiment = override(load(PRESET), {f"controller.{key}": value for key, value in keys.items()})
         quantum = experiment.rig.amplifier.current_quantum_a
         values = prepare_controller(
             experiment, current_quantum_a=quantum, reference_count=0, verified=True
         ).parameters
-        values |= changes
+        values |= {
+            "settle_ticks": position_rate // 1_000,
+            "home_step": 6 * int(values["home_step"]),
+            **changes,
+        }
         self.configure(**values)
+        self.arm()
         return values
 
     def listen(self, seconds: float) -> None:
@@ -104,11 +107,19 @@ class Session:
         return self.pico.ticks()[indices - 1]
 
     def counts(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return count and sample index of every tick in the received BATCH frames."""
+        """Return count and sample index of every tick in the received BATCH frames; each count was true in its tick."""
         counts: list[NDArray[np.int64]] = []
         indices: list[NDArray[np.int64]] = []
         for batch in self.batches:
             moved = np.array([sample[0] for sample in unpack_batch_samples(batch)], dtype=np.int64)
             counts.append(batch.base_count + np.cumsum(moved))
             indices.append(batch.first_index + np.arange(len(moved)))
-        return np.concatenate(counts), np.concatenate(indices)
+        all_counts, all_indices = np.concatenate(counts), np.concatenate(indices)
+        self.check_true(all_counts, all_indices)
+        return all_counts, all_indices
+
+    def check_true(self, counts: NDArray[np.int64], indices: NDArray[np.int64]) -> None:
+        """Require that the encoder had these counts while the samples with these indices were taken."""
+        ticks = self.ticks_of(indices)
+        low, high = np.minimum(ticks.before, ticks.after), np.maximum(ticks.before, ticks.after)
+        assert np.all((low <= counts) & (counts <= high) & (high - low <= 1)), (counts, low, high)

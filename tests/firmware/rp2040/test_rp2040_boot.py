@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.config._derive import rig_model
-from rig.config.presets import load
 from rig.firmware._build import BuildResult
-from tests.firmware.rp2040.conftest import PRESET
+from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US, Pico
 from tests.firmware.rp2040.session import Session
 
@@ -18,12 +16,10 @@ SETTLES_NS = 1e6
 
 
 def test_it_listens_within_a_fifth_of_a_second(built: BuildResult) -> None:
-    model = rig_model(load(PRESET))
-    with Pico(model, built.bin, start_us=0.0, waits=True) as pico:
+    with Pico(emulator.built("usual")[0], built.bin, start_us=0.0, waits=True) as pico:
         while not len(pico.ticks().came) and pico.look()["now"] < BOOT_S * 1e9:
             pico.run(START_US)
         first = float(pico.ticks().came[0]) * 1e-9
-    print(f"the first tick comes {first * 1e3:.1f} ms after power-up")
     assert first < BOOT_S
 
 
@@ -39,7 +35,7 @@ def test_crystal_and_regulator_get_their_time_after_every_reset(powered: Callabl
         pico.run(WATCHDOG_US + START_US)
 
 
-@pytest.mark.parametrize("place", [0x800, 0x9000, -5, -1])
+@pytest.mark.parametrize("place", [0x800, -5])
 def test_an_image_with_a_flipped_bit_shows_the_boot_roms_drive_and_drives_nothing(
     built: BuildResult, tmp_path: Path, place: int
 ) -> None:
@@ -47,7 +43,7 @@ def test_an_image_with_a_flipped_bit_shows_the_boot_roms_drive_and_drives_nothin
     image[place] ^= 0x10
     broken = tmp_path / "broken.bin"
     broken.write_bytes(image)
-    with Pico(rig_model(load(PRESET)), broken) as pico:
+    with Pico(emulator.built("usual")[0], broken) as pico:
         look = pico.look()
         assert look["bootloader"]
         assert not look["enabled"]

@@ -1,16 +1,13 @@
 """The duties of the Pico's port, tested on the whole image with outputs wired to inputs and a flowing current."""
 
-from rig.config._derive import rig_model
-from rig.config.presets import load
 from rig.core.check import Outcome
 from rig.devices.device import DeviceUrl
 from rig.firmware._build import PORT_CHECK
 from rig.firmware._port_check import PortCheckRequest, check_port
 from tests.firmware.rp2040 import emulator
-from tests.firmware.rp2040.conftest import PRESET
 
-# A tenth of a second of an emulated board takes seconds: 268 s, until bit 32 of its time changes, are not for a test.
-REQUEST = PortCheckRequest(current=400, wired=True, seconds=0.1, bootloader=True)
+# 268 s of an emulated board, until bit 32 of its time changes, would take hours.
+REQUEST = PortCheckRequest(current=400, wired=True, seconds=0.05, bootloader=True)
 UNSEEN = {"time width"}
 
 
@@ -27,7 +24,7 @@ class Link(emulator.PicoLink):
 
 
 def test_the_pico_keeps_every_duty_that_can_be_seen() -> None:
-    model = rig_model(load(PRESET))
+    model = emulator.built("usual")[0]
     built = emulator.image(model, PORT_CHECK)
     with emulator.Pico(model, built.bin) as pico:
         pico.ask("loop")

@@ -8,10 +8,10 @@ from rig.config import presets
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.firmware import _selftest as selftest
-from tests.firmware.rp2040.emulator import START_US, WATCHDOG_US
+from tests.firmware.rp2040.emulator import PRESET
 from tests.firmware.rp2040.session import Session
 
-FLOAT32 = presets.load("koul-rigid")
+FLOAT32 = presets.load(PRESET)
 INTEGERS = config.override(FLOAT32, {"controller.estimator": "fdm-butterworth-fixed"})
 TOO_FAST = config.override(FLOAT32, {"controller.position_rate": 50_000, "controller.velocity_rate": 5_000})
 
@@ -37,14 +37,3 @@ def test_a_law_that_is_too_slow_for_the_board_is_found_before_anything_moves(
     check = selftest._stream(device_of(powered(position=0.0)), request)
     assert check.outcome == "refused"
     assert Fault.TICK_OVERRUN.text in check.text
-
-
-def test_the_place_of_a_crash_is_shown_once_it_is_back(powered: Callable[..., Session]) -> None:
-    session = powered()
-    at = session.pico.ask("crash")["at"]
-    session.pico.run(WATCHDOG_US + START_US)
-    device = device_of(session)
-    device.identify()
-    check = selftest._fault_memory(device, selftest.SelfTestRequest())
-    assert f"at {at:#010x}" in check.text
-    assert Fault.PROCESSOR_STOPPED.name in check.text

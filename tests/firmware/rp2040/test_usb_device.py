@@ -105,14 +105,11 @@ def test_descriptor_makes_windows_use_its_own_driver(host: Host) -> None:
     assert value[0] + value[37:] == "{}\0\0"
 
 
-@pytest.mark.parametrize("length", [1, 8, 9, 18, 63, 64, 65, 107, 128, 255, 4096])
-def test_as_much_as_is_asked_for_and_no_more(host: Host, length: int) -> None:
-    whole = host.descriptor(CONFIGURATION, length=4096)
-    assert host.descriptor(CONFIGURATION, length=length) == whole[:length]
-
-
-def test_answers_of_whole_packets_end_as_the_host_expects(host: Host) -> None:
+def test_as_much_as_is_asked_for_and_no_more(host: Host) -> None:
     """No empty packet follows a reply of whole packets that has the requested length."""
+    whole = host.descriptor(CONFIGURATION, length=4096)
+    for length in (1, 8, 9, 18, 63, 64, 65, 107, 128, 255, 4096):
+        assert host.descriptor(CONFIGURATION, length=length) == whole[:length]
     for length in (PACKET, 2 * PACKET):
         assert len(host.control_in(0xC0, 0x20, 0, 7, length)) == length
 
@@ -120,7 +117,7 @@ def test_answers_of_whole_packets_end_as_the_host_expects(host: Host) -> None:
 # ---------------------------------------------------------------------- standard requests
 
 
-def test_the_address_holds_from_the_end_of_its_request_on(bare: Host) -> None:
+def test_the_address_holds_from_the_end_of_its_request_on_and_not_if_that_is_given_up(bare: Host) -> None:
     bare.reset()
     bare.setup(0, 5, 9, 0, 0)
     assert bare.command("a", number=0).kind == "D"
@@ -129,10 +126,6 @@ def test_the_address_holds_from_the_end_of_its_request_on(bare: Host) -> None:
     assert bare.command("a", number=9).kind == "D"
     bare.reset()
     assert bare.command("a", number=0).kind == "D"
-
-
-def test_an_address_whose_request_is_given_up_is_not_taken(bare: Host) -> None:
-    bare.reset()
     bare.setup(0, 5, 9, 0, 0)
     assert len(bare.descriptor(DEVICE)) == 18
     assert bare.command("a", number=0).kind == "D"
@@ -227,15 +220,15 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("request_name", REFUSED)
-def test_unknown_request_is_stalled_and_the_next_one_is_answered(host: Host, request_name: str) -> None:
-    host.setup(*REFUSED[request_name])
-    host.toggles[0] = host.toggles[IN] = 1
-    with pytest.raises(StallError):
-        host.fetch(0)
-    with pytest.raises(StallError):
-        host.give(0, b"")
-    assert len(host.descriptor(DEVICE)) == 18
+def test_unknown_request_is_stalled_and_the_next_one_is_answered(host: Host) -> None:
+    for request in REFUSED.values():
+        host.setup(*request)
+        host.toggles[0] = host.toggles[IN] = 1
+        with pytest.raises(StallError):
+            host.fetch(0)
+        with pytest.raises(StallError):
+            host.give(0, b"")
+        assert len(host.descriptor(DEVICE)) == 18
 
 
 def test_the_serial_port_keeps_its_line_coding(host: Host) -> None:
@@ -322,17 +315,16 @@ def test_bytes_arrive_whole_in_order_and_with_their_toggles(stack: Path, data: s
         assert taken == given_bytes
 
 
-@pytest.mark.parametrize("count", [60, 64, 128, 63, 61])
-def test_a_transfer_of_whole_packets_is_ended_by_an_empty_one(host: Host, count: int) -> None:
-    assert host.firmware_writes(bytes([1] * (count - 1)) + b"\0")
-    packets = host.fetch_all()
-    assert len(packets[-1]) < PACKET
-    assert frames_of(b"".join(packets)) == [bytes([1] * (count - 1)) + b"\0"]
-
-
-def test_two_packets_wait_in_the_controller(host: Host) -> None:
-    """The host receives two packets even while the processor is busy elsewhere."""
-    assert host.firmware_writes(bytes([1] * 251) + b"\0")
+def test_a_transfer_of_whole_packets_is_ended_by_an_empty_one_and_two_packets_wait_in_the_controller(
+    host: Host,
+) -> None:
+    for count in (60, 64, 128, 63, 61):
+        frame = bytes([1] * (count - 1)) + b"\0"
+        assert host.firmware_writes(frame)
+        packets = host.fetch_all()
+        assert len(packets[-1]) < PACKET
+        assert frames_of(b"".join(packets)) == [frame]
+    assert host.firmware_writes(bytes([1] * 251) + b"\0")  # while the processor is busy elsewhere
     host.interrupt()
     assert [host.command("i", RIG).kind for _ in range(3)] == ["D", "D", "N"]
 
@@ -441,11 +433,13 @@ def test_a_frame_of_which_half_has_left_is_ended(host: Host) -> None:
 # ---------------------------------------------------------------------- the cable
 
 
-def test_a_reset_of_the_bus_forgets_all(host: Host) -> None:
+@pytest.mark.parametrize("restart", ["r", "x"], ids=["of the bus", "of the firmware"])
+def test_a_restart_forgets_all(host: Host, restart: str) -> None:
     assert host.firmware_writes(b"old\0")
     host.interrupt()
     host.give(RIG, b"\x07old")
-    host.reset()
+    host.command(restart)
+    host.interrupt()
     assert not host.is_up
     assert not host.firmware_writes(b"dropped\0")
     assert host.command("i", RIG).kind == "-"
@@ -474,14 +468,3 @@ def test_a_silent_bus_takes_no_frames_and_keeps_no_old_ones(host: Host) -> None:
     host.command("z", number=1)
     host.interrupt()
     assert not host.is_up
-
-
-def test_a_new_start_of_the_firmware_is_a_new_device(host: Host) -> None:
-    assert host.firmware_writes(b"old\0")
-    host.interrupt()
-    host.command("x")
-    assert not host.is_up
-    host.enumerate()
-    assert host.fetch(RIG) is None
-    assert host.give(RIG, b"again")
-    assert host.firmware_reads() == b"again"
