@@ -131,15 +131,11 @@ def measure_load(load: Any, options: argparse.Namespace, place: str) -> dict[str
     ours.send("end")
     memory = ours.recv()
     console.join()
+    times = {"median": statistics.median(took), "p99": took[int(0.99 * len(took))], "longest": took[-1]}
     return {
-        "tried_a_second": round(tried),
-        "opened_a_second": round(opened),
-        "stops": len(took),
-        "median_ms": round(statistics.median(took), 1),
-        "p99_ms": round(took[int(0.99 * len(took))], 1),
-        "longest_ms": round(took[-1], 1),
-        "memory_mb": round(memory),
-    }
+        "tried_a_second": round(tried), "opened_a_second": round(opened), "stops": len(took),
+        **{f"{name}_ms": round(ms, 1) for name, ms in times.items()}, "memory_mb": round(memory),
+    }  # fmt: skip
 
 
 def main() -> int:

@@ -57,19 +57,12 @@ RATES = {
     "4 kHz": {"controller.position_rate": 4_000, "controller.velocity_rate": 4_000},
 }
 DELAYS_S = (*sorted({amplifiers.load(name).set_point_delay_s for name in amplifiers.names()}), 1e-3)
-DRIVES = ("current", "voltage")
-ALARMS = (
-    Fault.CURRENT_MISMATCH.text,
-    "the measured current differed from the set current",
-)  # of device and host
+# Of device and host.
+ALARMS = (Fault.CURRENT_MISMATCH.text, "the measured current differed from the set current")
 BROKEN: dict[str, dict[str, float]] = {
-    "lead off": {"drive": 0.0},
-    "sensor dead": {"gain": 0.0},
-    "sensor reversed": {"gain": -1.0},
-    "half": {"gain": 0.5},
-    "a fifth too much": {"gain": 1.2},
-    "five times": {"gain": 5.0},
-}
+    "lead off": {"drive": 0.0}, "sensor dead": {"gain": 0.0}, "sensor reversed": {"gain": -1.0},
+    "half": {"gain": 0.5}, "a fifth too much": {"gain": 1.2}, "five times": {"gain": 5.0},
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,19 +79,15 @@ class Case:
         """Return the hit on a wall whose stiffness is a share of the preset's."""
         x = presets.load(self.preset)
         peak_a = x.rig.amplifier.effort_limit / x.rig.amplifier.effort_per_ampere
-        return config.override(
-            x,
-            {
-                "trial.duration_s": 0.4,
-                "trial.minimum_rest_counts": 0.0,
-                "verdict.tail_s": 0.15,
-                "wall.stiffness": stiffness * x.wall.stiffness,
-                "rig.amplifier.drive": self.drive,
-                "rig.amplifier.current_noise_a": self.noise * peak_a,
-                "rig.amplifier.set_point_delay_s": self.delay_s,
-                **RATES[self.rate],
-            },
-        )
+        trial = {"trial.duration_s": 0.4, "trial.minimum_rest_counts": 0.0, "verdict.tail_s": 0.15}
+        amplifier = {
+            "drive": self.drive,
+            "current_noise_a": self.noise * peak_a,
+            "set_point_delay_s": self.delay_s,
+        }
+        described = {f"rig.amplifier.{name}": value for name, value in amplifier.items()}
+        wall = {"wall.stiffness": stiffness * x.wall.stiffness}
+        return config.override(x, {**trial, **wall, **described, **RATES[self.rate]})
 
 
 @dataclass(frozen=True)
@@ -117,12 +106,8 @@ def trial(experiment: Any, share: float, seed: int, broken: dict[str, float] | N
     model = config.rig_model(experiment)
     device = SimulatedDevice(model, seed=seed, initial_position=model.simulation.initial_position or 0.0)
     amplifier = model.amplifier
-    device._safety._model = replace(
-        model,
-        amplifier=replace(
-            amplifier, lag_s=share * amplifier.lag_s, set_point_delay_s=share * amplifier.set_point_delay_s
-        ),
-    )
+    late = {name: share * getattr(amplifier, name) for name in ("lag_s", "set_point_delay_s")}
+    device._safety._model = replace(model, amplifier=replace(amplifier, **late))
 
     def act(device: Any) -> None:
         for name, value in (broken or {}).items():
@@ -168,9 +153,7 @@ def visible_s(rows: Any, model: RigModel, rate: int, broken: dict[str, float], a
     def window_means(current: Any) -> Any:
         return np.convolve(np.abs(current), np.full(ticks, 1.0 / ticks), "valid")
 
-    if (
-        len(active) < 2 * ticks
-    ):  # too short to know; if it is an alarm that ended it, this is how long it took at most
+    if len(active) < 2 * ticks:  # too short to know; an alarm that ended it took so long at most
         return len(active) / rate
     acting = np.pad(active, (model.amplifier.set_point_ticks(1.0 / rate), 0))[: len(active)]
     left = (1.0 - gain * drive) * acting - (1.0 - gain) * back_emf
@@ -195,9 +178,8 @@ def visible_s(rows: Any, model: RigModel, rate: int, broken: dict[str, float], a
 
 def cases() -> Iterator[Case]:
     """Yield all distinct cases: without back-EMF both drives are the same, and a rate may equal the preset's."""
-    for preset, drive, rate, noise, delay_s in itertools.product(
-        presets.names(), DRIVES, RATES, NOISES, DELAYS_S
-    ):
+    grid = itertools.product(presets.names(), ("current", "voltage"), RATES, NOISES, DELAYS_S)
+    for preset, drive, rate, noise, delay_s in grid:
         x = presets.load(preset)
         same_drive = drive == "voltage" and x.rig.amplifier.back_emf_damping == 0.0
         same_rate = rate != "own" and RATES[rate]["controller.position_rate"] == x.controller.position_rate
@@ -208,22 +190,14 @@ def cases() -> Iterator[Case]:
 def line(case: Case, trials: int) -> str:
     """Return a line of the table."""
     random = np.random.default_rng(0)
-    by_lag = {
-        lag: [
-            trial(case.experiment(stiffness), lag, seed, None, 0)
-            for seed in range(max(1, trials // 3))
-            for stiffness in STIFFNESS
-        ]
-        for lag in SHARES
-    }
+    walls = list(itertools.product(range(max(1, trials // 3)), STIFFNESS))
+    by_lag = {lag: [trial(case.experiment(k), lag, seed, None, 0) for seed, k in walls] for lag in SHARES}
     sound = [one for found in by_lag.values() for one in found]
     proper = trial(case.experiment(1.0), 1.0, 0, None, 0).trial
     shares, slowest, unseen_breaks = [], 0.0, 0
     for broken in BROKEN.values():
-        found = [
-            trial(case.experiment(1.0), 1.0, seed, broken, int(random.choice(proper)))
-            for seed in range(trials)
-        ]
+        x, ticks = case.experiment(1.0), [int(random.choice(proper)) for _ in range(trials)]
+        found = [trial(x, 1.0, seed, broken, at) for seed, at in enumerate(ticks)]
         caught = [one for one in found if one.alarm or one.over]
         missed = [one for one in found if one not in caught and (one.seconds or 0.0) > 2.0 * WINDOW_S]
         shares.append(f"{len(caught)} of {len(caught) + len(missed)}")
@@ -250,15 +224,8 @@ def main() -> None:
     parser.add_argument("--preset", action="append", choices=presets.names(), help="default: all")
     parser.add_argument("--noise", action="append", type=float, choices=NOISES, help="default: all")
     options = parser.parse_args()
-    heads = (
-        "preset, drive, rate, noise, delay",
-        "false alarms",
-        *BROKEN,
-        "slowest",
-        "not seen",
-        "not observed",
-        "over-currents",
-    )
+    ends = ("slowest", "not seen", "not observed", "over-currents")
+    heads = ("preset, drive, rate, noise, delay", "false alarms", *BROKEN, *ends)
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     for case in cases():
         if case.preset in (options.preset or presets.names()) and case.noise in (options.noise or NOISES):

@@ -81,13 +81,8 @@ STRETCH, LATE_BY = 10, 2
 PLACES = ("approach", "impact", "settling", "rest")
 PARTS = ("approach", "contact", "rest", "everywhere")
 APPROACH_S, IMPACT_S = 0.050, 0.010
-FEWEST, WORSE, WORST, HIDDEN, SURE = (
-    20,
-    0.05,
-    0.25,
-    0.01,
-    1.645,
-)  # shares of series and of hits; one-sided 95 %
+FEWEST, WORSE, WORST, HIDDEN = 20, 0.05, 0.25, 0.01  # series; shares of series and of hits
+SURE = 1.645  # one-sided 95 %
 CRITERION = "any"
 LADDERS = {"koul": (10.0, 6000.0), "chawda": (1000.0, 3e6)}  # where the K_max of a case is looked for
 NO_DELAYS = np.zeros(0, np.int64)
@@ -211,12 +206,9 @@ class SeriesRig:
 
     def __init__(self, case: Case, offset: float, seed: int) -> None:
         changes: dict[str, Any] = {
-            "wall.damping": case.damping,
-            "rig.encoder.offset": offset,
-            "trial.seed": seed,
-            "rig.simulation.computation_delay_ticks": case.delay,
-            "verdict.lowpass_hz": min(400.0, 0.4 * case.rate),
-        }
+            "wall.damping": case.damping, "rig.encoder.offset": offset, "trial.seed": seed,
+            "rig.simulation.computation_delay_ticks": case.delay, "verdict.lowpass_hz": min(400.0, 0.4 * case.rate),
+        }  # fmt: skip
         if case.held:
             changes |= {"trial.kind": "human", "trial.duration_s": 1.5}
         experiment = Scheme.parse(case.scheme).applied(presets.load(case.preset))

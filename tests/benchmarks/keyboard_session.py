@@ -119,25 +119,16 @@ def main() -> int:
         code, output, trials = session(options, directory)
     invalid = [one for one in trials if one["automatic"] == "invalid"]
     for one in invalid:
-        print(
-            f"trial {one['trial']}, {'the machine' if one['by_machine'] else 'the hit'}: {'; '.join(one['reasons'])}"
-        )
+        cause = "the machine" if one["by_machine"] else "the hit"
+        print(f"trial {one['trial']}, {cause}: {'; '.join(one['reasons'])}")
     share = len(invalid) / max(1, len(trials))
-    summary = {
-        "trials": len(trials),
-        "invalid": len(invalid),
-        "by_machine": sum(one["by_machine"] for one in invalid),
-        "verdicts": Counter(one["automatic"] for one in trials),
-        "aborted": Counter(one["aborted"] for one in trials if one["aborted"]),
-        "exit_code": code,
-        "load_before": before,
-        "load_after": os.getloadavg()[0],
-        "processors": os.cpu_count(),
-    }
+    machine = {"load_before": before, "load_after": os.getloadavg()[0], "processors": os.cpu_count()}
     if code:
         print(output, file=sys.stderr)
     print(f"{len(invalid)} of {len(trials)} trials invalid ({share:.0%}); allowed: {ALLOWED:.0%}")
-    print(json.dumps(summary))
+    verdicts = Counter(one["automatic"] for one in trials)
+    by_machine = sum(one["by_machine"] for one in invalid)
+    print(json.dumps({"verdicts": verdicts, "by_machine": by_machine, "exit_code": code, **machine}))
     return 0 if code == 0 and trials and share <= ALLOWED else 1
 
 

@@ -37,9 +37,8 @@ def drawn(preset: str, draw: random.Random, stiffer: tuple[float, ...], damped: 
 def tick_of_change(place: str, rows: Any, rate: int) -> int:
     """Return the tick at which the scale changes."""
     released, contact = int(rows["sample_index"][rows["phase"] == Phase.TRIAL][0]), contact_of(rows)
-    return {"halfway": (released + contact) // 2, "contact": contact, "rest": contact + round(0.15 * rate)}[
-        place
-    ]
+    places = {"halfway": (released + contact) // 2, "contact": contact, "rest": contact + round(0.15 * rate)}
+    return places[place]
 
 
 def main() -> None:

@@ -75,14 +75,12 @@ def fit(values: dict[Stratum, Floats], without: Sequence[Stratum] = (), *, reml:
         squares[place] = (of**2 if stratum in without else (of - of.mean(axis=0)) ** 2).sum()
         sizes[place] = (len(of) - reml) * of.shape[1]
     # of residual, person, person × condition, person × damping, in each stratum
-    shares = np.array(
-        [
-            [1.0, CONDITIONS * DAMPINGS, DAMPINGS, CONDITIONS],
-            [1.0, 0.0, DAMPINGS, 0.0],
-            [1.0, 0.0, 0.0, CONDITIONS],
-            [1.0, 0.0, 0.0, 0.0],
-        ]
-    )
+    shares = np.array([
+        [1.0, CONDITIONS * DAMPINGS, DAMPINGS, CONDITIONS],
+        [1.0, 0.0, DAMPINGS, 0.0],
+        [1.0, 0.0, 0.0, CONDITIONS],
+        [1.0, 0.0, 0.0, 0.0],
+    ])  # fmt: skip
 
     def deviance(variances: Floats) -> float:
         return float((sizes * np.log(variances) + squares / variances).sum())

@@ -58,10 +58,10 @@ def areas(estimator: str, changes: dict[str, Any], inertia: float | None) -> tup
         x = ground.experiment(pair, {**settings, **own}, grip, 0)
         return math.log(area(config.override(x, changes, "the benchmark"), grip, offset))
 
-    best = max(
-        grid[::3],
-        key=lambda one: sum(best_area(one, grip, rule.TUNING_OFFSET) for grip in rule.TUNING_CONDITIONS),
-    )
+    def tuning(settings: rule.Settings) -> float:
+        return sum(best_area(settings, grip, rule.TUNING_OFFSET) for grip in rule.TUNING_CONDITIONS)
+
+    best = max(grid[::3], key=tuning)
     means = {grip: math.exp(np.mean([best_area(best, grip, o) for o in OFFSETS])) for grip in rule.CONDITIONS}
     return float(next(iter(best.values()))), means
 

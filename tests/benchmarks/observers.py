@@ -53,29 +53,31 @@ CATCH_SHARE = {"interleaved": 0.1}
 Row = dict[str, Any]
 
 
-def cases() -> list[tuple[str, float, float]]:
+def cases(spreads: Sequence[float] = SPREADS) -> list[tuple[str, float, float]]:
     """Return rule, lapse rate and spread of every row."""
-    return list(product(RULES, LAPSE_RATES, SPREADS))
-
-
-def gradual_cases() -> list[tuple[str, float, float]]:
-    """Return rule, lapse rate and spread of every row for gradual observers."""
-    return list(product(RULES, LAPSE_RATES, GRADUAL))
+    return list(product(RULES, LAPSE_RATES, spreads))
 
 
 def row_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
     """Measure one row of the table."""
+    found = _performance(case, THRESHOLD, sessions, seed)
+    return {**_named(case), **{number: _round(getattr(found, number)) for number in NUMBERS}}
+
+
+def beyond_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
+    """Measure one row for an observer whose K50 is above all levels: the share of sessions that report this."""
+    return {**_named(case), "marked": _round(_performance(case, BEYOND, sessions, seed).above)}
+
+
+def _named(case: tuple[str, float, float]) -> Row:
+    return dict(zip(("rule", "lapse_rate", "spread"), case, strict=True))
+
+
+def _performance(case: tuple[str, float, float], threshold: float, sessions: int, seed: int) -> Any:
     name, lapse_rate, spread = case
-    rule, settings = RULES[name]
-    make = partial(_create_search, rule, settings)
-    observer = Observer(threshold=THRESHOLD, spread=spread, lapse_rate=lapse_rate)
-    found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
-    return {
-        "rule": name,
-        "lapse_rate": lapse_rate,
-        "spread": spread,
-        **{n: _round(getattr(found, n)) for n in NUMBERS},
-    }
+    observer = Observer(threshold=threshold, spread=spread, lapse_rate=lapse_rate)
+    make = partial(_create_search, *RULES[name])
+    return performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
 
 
 def _create_search(rule: str, settings: Mapping[str, Any], *, seed: int) -> search.Rule:
@@ -84,19 +86,9 @@ def _create_search(rule: str, settings: Mapping[str, Any], *, seed: int) -> sear
     return made if share is None else search.Catching(rule=made, levels=LEVELS, share=share, seed=seed)
 
 
-def beyond_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
-    """Measure one row for an observer whose K50 is above all levels: the share of sessions that report this."""
-    name, lapse_rate, spread = case
-    rule, settings = RULES[name]
-    make = partial(_create_search, rule, settings)
-    observer = Observer(threshold=BEYOND, spread=spread, lapse_rate=lapse_rate)
-    found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
-    return {"rule": name, "lapse_rate": lapse_rate, "spread": spread, "marked": _round(found.above)}
-
-
 PARTS: dict[str, tuple[Callable[..., Row], Callable[[], list[tuple[str, float, float]]]]] = {
     "rows": (row_of, cases),
-    "gradual": (row_of, gradual_cases),
+    "gradual": (row_of, lambda: cases(GRADUAL)),
     "beyond": (beyond_of, cases),
 }
 
@@ -129,52 +121,25 @@ def write_table(table: dict[str, Any]) -> None:
 # --- the guide's sections ---------------------------------------------------------------------------------
 
 
-def errors() -> str:
-    """Return the Markdown table of bias and scatter of each rule, for each observer."""
-    return _by_observer(lambda row: f"{_signed(row['bias'])} ± {row['scatter']:.0f}")
+def _error(row: Row) -> str:
+    return f"{_signed(row['bias'])} ± {row['scatter']:.0f}"
 
 
-def intervals() -> str:
-    """Return the table of the share of intervals that contain the limit, and their median width."""
-    return _by_observer(
-        lambda row: "–" if row["width"] is None else f"{100 * row['covered']:.0f} % ({row['width']:.0f})"
-    )
+def _coverage(row: Row) -> str:
+    return "–" if row["width"] is None else f"{100 * row['covered']:.0f} % ({row['width']:.0f})"
 
 
-def hits() -> str:
-    """Return the table of the number of verdicts per session."""
-    return _by_observer(lambda row: f"{row['hits']:.0f}")
-
-
-def censored() -> str:
-    """Return the table of the share of sessions that report a limit beyond the levels."""
-    return _by_observer(lambda row: f"{100 * row['censored']:.1f} %" if row["censored"] else "0")
-
-
-def beyond() -> str:
-    """Return the table of the share of sessions that correctly report a limit beyond the levels."""
-    return _by_observer(lambda row: f"{100 * row['marked']:.0f} %", "beyond")
-
-
-def gradual() -> str:
-    """Return the table of bias, scatter and interval coverage for gradual observers."""
-    return _by_observer(
-        lambda row: (
-            f"{_signed(row['bias'])} ± {row['scatter']:.0f}, "
-            + ("–" if row["width"] is None else f"{100 * row['covered']:.0f} % ({row['width']:.0f})")
-        ),
-        "gradual",
-        GRADUAL,
-    )
+def _censored(row: Row) -> str:
+    return f"{100 * row['censored']:.1f} %" if row["censored"] else "0"
 
 
 SECTIONS: dict[str, Callable[[], str]] = {
-    "errors": errors,
-    "intervals": intervals,
-    "gradual": gradual,
-    "hits": hits,
-    "censored": censored,
-    "beyond": beyond,
+    "errors": lambda: _by_observer(_error),
+    "intervals": lambda: _by_observer(_coverage),
+    "gradual": lambda: _by_observer(lambda row: f"{_error(row)}, {_coverage(row)}", "gradual", GRADUAL),
+    "hits": lambda: _by_observer(lambda row: f"{row['hits']:.0f}"),
+    "censored": lambda: _by_observer(_censored),
+    "beyond": lambda: _by_observer(lambda row: f"{100 * row['marked']:.0f} %", "beyond"),
 }
 
 

@@ -68,11 +68,8 @@ def _mechanics(**factors: float) -> Change:
 def _encoder(*, sign: int = 1, finer: float = 1.0, **values: float) -> Change:
     def change(model: RigModel) -> RigModel:
         encoder = model.encoder
-        scale = (
-            {"ratio": finer * encoder.ratio}
-            if encoder.quantum is None
-            else {"quantum": encoder.quantum / finer}
-        )
+        quantum = encoder.quantum
+        scale = {"ratio": finer * encoder.ratio} if quantum is None else {"quantum": quantum / finer}
         return replace(model, encoder=replace(encoder, sign=sign * encoder.sign, **scale, **values))
 
     return change
@@ -148,14 +145,11 @@ def failures(experiment: Experiment, fault: Fault, at: float, recording: Path) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--loop", choices=("host", "device"), default="host")
     asked = parser.parse_args()
-    trials = asked.trials
-    missed = 0
+    trials, missed = asked.trials, 0
     with TemporaryDirectory() as directory:
         for name, (what, fault) in itertools.product(presets.names(), FAULTS.items()):
             changes = {"rig.amplifier.current_monitor": False, "controller.loop": asked.loop}
@@ -166,15 +160,10 @@ def main() -> None:
             places = middle + half * random.uniform(-1.0, 1.0, trials)
             files = [Path(directory) / f"{name}-{what}-{n}.rigcap" for n in range(trials)]
             found = [failures(experiment, fault, at, file) for at, file in zip(places, files, strict=True)]
-            right = sum(
-                named == "ok" if fault.named is None else fault.named in named.split(", ")
-                for named, _ in found
-            )
+            texts, scales = zip(*found, strict=True)
+            right = sum((fault.named or "ok") in text.split(", ") for text in texts)
             missed += trials - right
-            scales = [scale for _, scale in found]
-            named = "; ".join(
-                f"{count} × {text}" for text, count in Counter(text for text, _ in found).items()
-            )
+            named = "; ".join(f"{count} × {text}" for text, count in Counter(texts).items())
             sizes = f"{np.nanmin(scales):.2f}–{np.nanmax(scales):.2f}"
             print(f"| {name} | {what} | {right}/{trials} | {named} | {sizes} |", flush=True)
     print(f"{missed} trials against the rule")

@@ -37,7 +37,7 @@ from rig.realtime.ring import Ring
 from rig.realtime.scheduling._rights import CAP_SYS_NICE, Rights
 from tests.benchmarks.realtime import workbench
 
-LOOK_S = 0.5
+PRIORITY, LOOK_S = 80, 0.5
 BEFORE_THE_END_S = 0.3
 GOAL_WITHOUT_RIGHTS = 1e-3  # of the samples; with them, none
 MINUTE_S = 60.0
@@ -52,19 +52,12 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--rate", type=int, help="ticks a second (default: the preset's)")
-    parser.add_argument("--pacing", choices=("device", "host"), default="device")
     parser.add_argument("--url", default="sim://", help="a device (default: a simulated one)")
     parser.add_argument("--preset", default="koul-compliant", help="experiment")
     parser.add_argument(
         "--verified", action="store_true", help="vouch for a real rig, as rig hit --verified does"
     )
-    parser.add_argument("--effort", type=float, help="push of the trial (default: the preset's)")
-    parser.add_argument("--priority", type=int, default=80)
-    parser.add_argument(
-        "--without-rights", action="store_true", help="give up the right to real-time scheduling first"
-    )
-    parser.add_argument("--cpu", type=int, default=None)
-    parser.add_argument("--spin-us", type=float, default=0.0)
+    parser.add_argument("--without-rights", action="store_true", help="give up the right to real time first")
     parser.add_argument(
         "--busy", action="store_true", help="a GIL hog, a garbage maker and a CPU hog beside it"
     )
@@ -153,50 +146,33 @@ def resident_mb() -> float:
 
 def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
     """Run one long hit on a device, simulated in real time or real."""
-    changes: dict[str, Any] = {
-        "trial.duration_s": options.minutes * MINUTE_S,
-        "host.pacing": options.pacing,
-        "host.priority": options.priority,
-        "host.spin_s": options.spin_us * 1e-6,
-    }
-    if options.cpu is not None:
-        changes["host.cpu"] = options.cpu
-    if options.effort is not None:
-        changes |= {"trial.effort": options.effort, "trial.minimum_rest_counts": 0.0}
+    changes: dict[str, Any] = {"trial.duration_s": options.minutes * MINUTE_S, "host.priority": PRIORITY}
     if options.rate is not None:
         changes |= {"controller.position_rate": options.rate, "controller.velocity_rate": options.rate}
     experiment = config.override(presets.load(options.preset), changes)
     rings: list[Any] = []
-    busy: list[int] = []
-    end = [math.inf]
+    end, looked = math.inf, 0.0
 
     def progress(ticks: int, phase: int) -> None:
+        nonlocal end, looked
         if not rings:
             rings.append(attach_ring())
-        if time.monotonic() > end[0]:  # beside the loop, not beside what follows it
+        if time.monotonic() > end:  # beside the loop, not beside what follows it
             load.close()
-        elif options.busy and not busy and ticks > 0:
-            busy.append(ticks)
-            end[0] = time.monotonic() + max(0.0, options.minutes * MINUTE_S - BEFORE_THE_END_S)
+        elif options.busy and end == math.inf and ticks > 0:
+            end = time.monotonic() + max(0.0, options.minutes * MINUTE_S - BEFORE_THE_END_S)
             load.enter_context(workbench.processor_hogs(1))
             load.enter_context(workbench.interpreter_hogs())
-        if time.monotonic() > looked[0] + LOOK_S:
-            looked[0] = time.monotonic()
+        if time.monotonic() > looked + LOOK_S:
+            looked = time.monotonic()
             watch.read_rows(rings[0])
 
     def watched(repeat: int, in_effect: Any) -> Any:
         found["rate"] = in_effect.controller.position_rate
         return progress
 
-    looked = [0.0]
-    request = HitRequest(
-        experiment=experiment,
-        url=options.url,
-        changes=changes,
-        realtime=True,
-        verified=options.verified,
-        output=options.output or directory,
-    )
+    place = {"url": options.url, "verified": options.verified, "output": options.output or directory}
+    request = HitRequest(experiment=experiment, changes=changes, realtime=True, **place)
     found: dict[str, Any] = {"end": "FINISHED"}
     with contextlib.ExitStack() as load:
         try:
@@ -229,9 +205,9 @@ def give_up_rights() -> None:
         os.execvp("setpriv", (*setpriv, sys.executable, *sys.orig_argv[1:]))
 
 
-def compare_to_goal(options: argparse.Namespace, totals: dict[str, Any]) -> str:
+def compare_to_goal(totals: dict[str, Any]) -> str:
     """Return a text that compares the lost samples of a device with the permitted share."""
-    granted = Rights.here().may_schedule(options.priority)
+    granted = Rights.here().may_schedule(PRIORITY)
     lost, ticks = totals["lost"] + totals["skipped"], totals["ticks"]
     share = lost / max(1, lost + ticks)
     return (
@@ -249,10 +225,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         found = device_run(options, Path(name), watch)
     if watch.totals:
-        print(compare_to_goal(options, watch.totals))
-    chosen = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
-    summary = {"asked": chosen, **found, **watch.totals}
-    print(json.dumps(summary))
+        print(compare_to_goal(watch.totals))
+    print(json.dumps({"asked": vars(options), **found, **watch.totals}, default=str))
     return 0 if found["end"] == "FINISHED" and found.get("rows_lost") == 0 else 1
 
 

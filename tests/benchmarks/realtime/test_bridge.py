@@ -46,12 +46,8 @@ def drive(program: Path) -> Iterator[int]:
 
 def run_client(client: Path, line: int, rate: int) -> tuple[np.ndarray, int]:
     """Return the round trips of a C program (µs) and the number of lost replies."""
-    done = subprocess.run(
-        [str(client), str(line), str(rate), str(round(rate * SECONDS)), QUESTION],
-        pass_fds=(line,),
-        capture_output=True,
-        check=True,
-    )
+    command = [str(client), str(line), str(rate), str(round(rate * SECONDS)), QUESTION]
+    done = subprocess.run(command, pass_fds=(line,), capture_output=True, check=True)
     took = np.frombuffer(done.stdout, np.int64)
     return took[took >= 0] / 1e3, int(np.sum(took < 0))
 
@@ -100,13 +96,10 @@ def test_a_bridge_costs_little_more_than_its_bytes(rate: int, tmp_path: Path) ->
             facts = run_bridge(line, rate)
             ratios.append(facts.quantile_us(0.5) / float(np.median(took)))
             rows.append(("C client", *(f"{one:.0f}" for one in quantiles(took)), lost, ""))
-            ours = [facts.quantile_us(share) for share in (0.5, 0.99, 0.999)]
-            rows.append(
-                ("bridge", *(f"{one:.0f}" for one in ours), facts.longest_us, facts.lost, facts.skipped)
-            )
+            ours = [f"{facts.quantile_us(share):.0f}" for share in (0.5, 0.99, 0.999)]
+            rows.append(("bridge", *ours, facts.longest_us, facts.lost, facts.skipped))
             if ratios[-1] <= MOST_RATIO:
                 break
-    print_table(
-        f"µs there and back at {rate} Hz", ("", "p50", "p99", "p99.9", "max", "lost", "skipped"), rows
-    )
+    head = ("", "p50", "p99", "p99.9", "max", "lost", "skipped")
+    print_table(f"µs there and back at {rate} Hz", head, rows)
     assert min(ratios) <= MOST_RATIO

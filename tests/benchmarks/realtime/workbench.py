@@ -46,14 +46,11 @@ SESSION = 9
 CPUS = sorted(os.sched_getaffinity(0))
 LOOP_CPU = CPUS[-1]
 CURRENT_QUANTUM_A = 0.001
-FOR_EVER = 1 << 40
 
 _DEFINES = {
-    "MAJOR": m.MAJOR,
-    "COMMAND_TYPE": type_id_of(m.Command),
-    "STATE_TYPE": type_id_of(m.State),
+    "MAJOR": m.MAJOR, "COMMAND_TYPE": type_id_of(m.Command), "STATE_TYPE": type_id_of(m.State),
     "STATE_RUNNING": int(State.RUNNING),
-}
+}  # fmt: skip
 
 
 def compile_c(directory: Path, name: str, *options: str) -> Path:
@@ -148,15 +145,9 @@ def pushing_for_ever(rate: int) -> ControllerState:
     """Return the compliant rig's wall in the middle of a trial without end and without limits."""
     experiment = presets.load("koul-compliant")
     made = controller.for_experiment(experiment, current_quantum_a=CURRENT_QUANTUM_A)
-    wanted = {
-        "tick_s": 1.0 / rate,
-        "trial_ticks": FOR_EVER,
-        "release_ticks": 1,
-        "window_minimum": -np.inf,
-        "window_maximum": np.inf,
-        "speed_limit": np.inf,
-    }
-    for name, value in wanted.items():
+    limits = {"window_minimum": -np.inf, "window_maximum": np.inf, "speed_limit": np.inf}
+    times = {"tick_s": 1.0 / rate, "trial_ticks": 1 << 40, "release_ticks": 1}
+    for name, value in {**times, **limits}.items():
         made.control[name] = value
     made.memory["phase"] = TRIAL
     return made
@@ -170,16 +161,10 @@ def command_frame(sequence: int) -> bytes:
 
 def loop_settings(rate: int, **changes: Any) -> LoopSettings:
     """Return the default loop settings at this rate (Hz), with changes."""
-    usual: dict[str, Any] = {
-        "period_ns": 1_000_000_000 // rate,
-        "session": SESSION,
-        "lifetime_us": 5000,
-        "lost_after_ns": 2_000_000_000,
-        "device_tick_ps": 62_500,
-        "current_quantum_a": CURRENT_QUANTUM_A,
-        "wait_for_room": False,
-    }
-    return LoopSettings(**{**usual, **changes})
+    return LoopSettings(
+        period_ns=1_000_000_000 // rate, session=SESSION, lifetime_us=5000, lost_after_ns=2_000_000_000,
+        device_tick_ps=62_500, current_quantum_a=CURRENT_QUANTUM_A, wait_for_room=False, **changes,
+    )  # fmt: skip
 
 
 def descriptor_link(descriptor: int) -> DescriptorLink:
@@ -288,16 +273,12 @@ def medians(rounds: Sequence[Sequence[float]]) -> list[float]:
     return [statistics.median(column) for column in zip(*rounds, strict=True)]
 
 
-def load_note() -> str:
-    """Return a text with the load of the machine, because only ratios inside one table are comparable."""
-    return f"load average {os.getloadavg()[0]:.1f}, {len(CPUS)} processors"
-
-
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print aligned columns, of which the first is text."""
     cells = [list(map(str, head)), *([str(cell) for cell in row] for row in rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
-    print(f"\n{title} ({load_note()})")
+    # Only ratios inside one table are comparable.
+    print(f"\n{title} (load average {os.getloadavg()[0]:.1f}, {len(CPUS)} processors)")
     for row in cells:
         first, rest = row[0].ljust(widths[0]), zip(row[1:], widths[1:], strict=True)
         print("  " + "  ".join([first, *(cell.rjust(width) for cell, width in rest)]))

@@ -49,14 +49,10 @@ def fitted(cogging: Cogging, most: int = 14, **options: Any) -> Any:
     )
 
 
-@given(
-    harmonics=st.dictionaries(
-        st.integers(1, 14),
-        st.tuples(st.floats(0.002, 0.02), st.floats(-math.pi, math.pi)),
-        min_size=1,
-        max_size=3,
-    )
-)
+AMPLITUDE_AND_PHASE = st.tuples(st.floats(0.002, 0.02), st.floats(-math.pi, math.pi))
+
+
+@given(harmonics=st.dictionaries(st.integers(1, 14), AMPLITUDE_AND_PHASE, min_size=1, max_size=3))
 @settings(max_examples=2)
 def test_true_harmonics_and_no_others_come_out_within_the_interval(harmonics: Any) -> None:
     """Three intervals bound the scatter of three pairs of coefficients; harmonics not found are reported."""
@@ -92,13 +88,7 @@ def test_sweeps_of_less_than_a_period_are_refused() -> None:
 
 def test_a_handle_that_is_held_is_refused() -> None:
     time_s, effort, _, sweeps = swept(Cogging())
-    with pytest.raises(IdentificationError, match="a common range of 0 rad"):
-        fit_cogging(
-            time_s, effort, np.zeros(len(time_s)), sweeps,
-            period=PERIOD, most_order=7, inertia=INERTIA, damping=DAMPING,
-        )  # fmt: skip
-    with pytest.raises(IdentificationError, match="fewer than two pairs"):
-        fit_cogging(
-            time_s, effort, np.zeros(len(time_s)), sweeps[:2],
-            period=PERIOD, most_order=7, inertia=INERTIA, damping=DAMPING,
-        )  # fmt: skip
+    held, known = np.zeros(len(time_s)), {"inertia": INERTIA, "damping": DAMPING}
+    for seen, message in ((sweeps, "a common range of 0 rad"), (sweeps[:2], "fewer than two pairs")):
+        with pytest.raises(IdentificationError, match=message):
+            fit_cogging(time_s, effort, held, seen, period=PERIOD, most_order=7, **known)

@@ -24,9 +24,8 @@ def test_the_usual_expression_is_within_the_promise_for_walls_that_can_be_stable
     backward = (1 - np.exp(-s * 1e-3)) / 1e-3
     for stiffness, damping in ((1e4, 0.0), (26.3e3, 0.0), (2e4, 60.0), (4e4, 100.0)):
         usual = 0.52 * s + 13.2 + zoh * (stiffness + damping * backward) / s
-        assert rendered_impedance(RIGID, stiffness, damping, lines, images=False) == pytest.approx(
-            usual, rel=1e-9
-        )
+        without_images = rendered_impedance(RIGID, stiffness, damping, lines, images=False)
+        assert without_images == pytest.approx(usual, rel=1e-9)
         ratio = rendered_impedance(RIGID, stiffness, damping, lines) / usual
         assert np.abs(ratio) == pytest.approx(1.0, abs=2e-3)
         assert np.degrees(np.angle(ratio)) == pytest.approx(0.0, abs=0.1)
@@ -36,9 +35,8 @@ def test_without_a_wall_it_is_the_rig() -> None:
     s = 2j * np.pi * LINES
     assert bare(RIGID, LINES) == pytest.approx(0.52 * s + 13.2)
     assert rendered_impedance(RIGID, 0.0, 0.0, LINES) == pytest.approx(bare(RIGID, LINES))
-    assert rendered_impedance("chawda-linear", 0.0, 0.0, LINES, scheme="dual:4k/1k") == pytest.approx(
-        bare(RIGID, LINES)
-    )
+    dual = rendered_impedance("chawda-linear", 0.0, 0.0, LINES, scheme="dual:4k/1k")
+    assert dual == pytest.approx(bare(RIGID, LINES))
     assert ideal_wall(100.0, 3.0, LINES) == pytest.approx(100.0 / s + 3.0)
 
 
@@ -51,10 +49,9 @@ def test_two_masses_resonate_where_their_masses_and_the_capstan_say() -> None:
     lines = np.arange(400.0, 700.0, 0.1)
     j1, j2, k = mechanics.motor_inertia, mechanics.loaded_link_inertia, mechanics.transmission_stiffness
     size = np.abs(bare(loop, lines))
-    assert lines[np.argmax(size)] == pytest.approx(math.sqrt(k / j1) / (2 * math.pi), abs=0.2)
-    assert lines[np.argmin(size)] == pytest.approx(
-        math.sqrt(k * (j1 + j2) / (j1 * j2)) / (2 * math.pi), abs=0.2
-    )
+    motor_hz, both_hz = (math.sqrt(k / j) / (2 * math.pi) for j in (j1, j1 * j2 / (j1 + j2)))
+    assert lines[np.argmax(size)] == pytest.approx(motor_hz, abs=0.2)
+    assert lines[np.argmin(size)] == pytest.approx(both_hz, abs=0.2)
     slow = bare(loop, [1.0])[0]
     assert slow.imag == pytest.approx(2 * math.pi * loop.subject.inertia, rel=1e-3)
     assert slow.real == pytest.approx(loop.subject.damping, rel=1e-2)

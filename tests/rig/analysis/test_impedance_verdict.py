@@ -102,17 +102,17 @@ def test_fidelity_compares_magnitudes_and_not_phases() -> None:
 def test_fidelity_states_its_uncertainty() -> None:
     exact = rig_with_wall(2e4, 60.0)
     values = [fidelity(noisy(exact, 20.0, seed), 2e4, 60.0, (20.0, 200.0)) for seed in range(150)]
-    assert np.std([v.rms for v in values]) == pytest.approx(
-        np.mean([v.rms_deviation for v in values]),
-        rel=0.17,  # three standard deviations of one of 150 values
-    )
+    stated = np.mean([v.rms_deviation for v in values])
+    # Three standard deviations of one of 150 values.
+    assert np.std([v.rms for v in values]) == pytest.approx(stated, rel=0.17)
     assert values[0].noise_rms == pytest.approx(20.0)
 
 
 def test_an_inertia_left_in_makes_a_wall_seem_soft() -> None:
-    with_rig = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0))
-    without = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE)
-    as_lines = fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=DEVICE.impedance(LINES))
+    with_rig, without, as_lines = (
+        fidelity(rig_with_wall(2e4, 60.0), 2e4, 60.0, (10.0, 100.0), device=device)
+        for device in (None, DEVICE, DEVICE.impedance(LINES))
+    )
     low, high = (2e4 - M * (2 * np.pi * hz) ** 2 for hz in (20.0, 10.0))  # −ω·Im Z of the lines averaged
     assert low < with_rig.stiffness < high
     assert without.stiffness_percent == pytest.approx(100.0)
@@ -150,12 +150,12 @@ def test_misfit_of_the_model_widens_the_interval() -> None:
     low = 2e4 / (2j * np.pi * LINES) / (1.0 + (LINES / 20.0) ** 2)
     measured = noisy(Impedance.exact(LINES, DEVICE.impedance(LINES) + low), 0.1)
     found = fidelity(measured, 2e4, 0.0, device=DEVICE)
-    plain_fit = fit(measured, ("stiffness", "damping"), band=(1.0, 20.0), subtract=DEVICE)
+    plain_fit, exact = (
+        fit(one, ("stiffness", "damping"), band=(1.0, 20.0), subtract=DEVICE)
+        for one in (measured, noisy(rig_with_wall(2e4, 0.0), 0.1))
+    )
     assert plain_fit.misfit > 10.0
     assert found.stiffness_deviation == plain_fit.deviations["stiffness"]
-    exact = fit(
-        noisy(rig_with_wall(2e4, 0.0), 0.1), ("stiffness", "damping"), band=(1.0, 20.0), subtract=DEVICE
-    )
     ratio = plain_fit.deviations["stiffness"] / exact.deviations["stiffness"]
     assert ratio == pytest.approx(plain_fit.misfit / max(1.0, exact.misfit), rel=1e-6)
 

@@ -36,24 +36,16 @@ FINE = 16  # steps of a tick
 
 
 def work_matrices(
-    k: Any,
-    b: Any,
-    *,
-    n: Any,
-    lag_s: Any,
-    ticks: Any,
-    cutoff_hz: Any,
-    extrapolate: bool = False,
+    k: Any, b: Any, *, n: Any, lag_s: Any, ticks: Any, cutoff_hz: Any, extrapolate: bool = False,
     back_emf: float = 0.0,
-    tick_s: float = 5e-5,
-) -> Callable[[float], Any]:
+) -> Callable[[float], Any]:  # fmt: skip
     """Return mean efforts in each fine step by unit velocities in each; all repeats but for a phase θ each period.
 
     One state [position; Butterworth (2) and the position before; velocity, slope, velocity before; lag, back-EMF
     in it; commands in transit] is stepped in time with velocities as inputs: no harmonics, no closed form.
     """
-    coefficients = butter(2, cutoff_hz, fs=1.0 / (n * tick_s), output="sos")[0]
-    b0, b1, b2, _, a1, a2 = coefficients
+    tick_s = 5e-5
+    ((b0, b1, b2, _, a1, a2),) = butter(2, cutoff_hz, fs=1.0 / (n * tick_s), output="sos")
     step = tick_s / FINE
     rho = math.exp(-step / lag_s) if lag_s else 0.0
     mean = lag_s / step * (1.0 - rho) if lag_s else 0.0

@@ -61,17 +61,9 @@ def plant(model: Any, hand: Any = None) -> Any:
 
 
 def envelopes(
-    model: Any,
-    k: Any,
-    b: Any,
-    *,
-    rates: Any,
-    cutoff_hz: Any,
-    seconds: Any,
-    hand: Any = None,
-    extrapolate: bool = False,
-    observer: Any = None,
-) -> Any:
+    model: Any, k: Any, b: Any, *, rates: Any, cutoff_hz: Any, seconds: Any, hand: Any = None,
+    extrapolate: bool = False, observer: Any = None,
+) -> Any:  # fmt: skip
     """Step walls k, b tick by tick; return weighted rms of position and effort in two windows at the end."""
     fast, slow = rates
     every = fast // slow
@@ -243,11 +235,9 @@ def test_an_observer_has_the_inertia_of_the_rig_in_the_hand() -> None:
     for kind in ("constant-effort", "human"):
         changes = {"trial.kind": kind, "rig.limits.human": False, "controller.estimator": "disturbance"}
         x = config.override(presets.load("koul-rigid"), changes)
-        loops = [theory.linear_loop(x, operator=hand) for hand in ("normal", "none", None)]
-        gains = [
-            loop.estimator.of_effort.d * loop.subject.inertia for loop in loops if loop.estimator.of_effort
-        ]
-        assert gains == pytest.approx([4.294e-4] * 3, rel=1e-3)
+        for hand in ("normal", "none", None):
+            loop: Any = theory.linear_loop(x, operator=hand)
+            assert loop.estimator.of_effort.d * loop.subject.inertia == pytest.approx(4.294e-4, rel=1e-3)
 
 
 def test_invalid_rigs_and_schemes_are_refused() -> None:
@@ -265,13 +255,6 @@ def test_invalid_rigs_and_schemes_are_refused() -> None:
             theory.spectral_radius(rig, scheme, 1.0, 0.0, operator=operator)
 
 
-def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
-    loop = theory.linear_loop(RIGID, "dual:20k/2k")
-    assert loop.controller.parameters == {"cutoff_hz": 200.0}
-    kalman = theory.linear_loop(RIGID, "dual:20k/2k,estimator=kalman,bandwidth_hz=100")
-    assert kalman.controller.parameters == {"bandwidth_hz": 100.0}
-
-
 @pytest.mark.parametrize(
     ("rig", "operator", "scheme"),
     [
@@ -283,9 +266,8 @@ def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
 def test_powers_of_the_period_agree_with_its_eigenvalues(rig: str, operator: str, scheme: str) -> None:
     """Walls range from none (an eigenvalue of 1) to those whose powers overflow, and are dense near the limits."""
     cogged = config.override(CHAWDA, COGS)
-    lifted = theory.Lifted.of(
-        theory.linear_loop(cogged if rig == "cogged" else rig, scheme, operator=operator)
-    )
+    loop = theory.linear_loop(cogged if rig == "cogged" else rig, scheme, operator=operator)
+    lifted = theory.Lifted.of(loop)
     b = np.linspace(0.0, 1.2 * theory.damping_range(lifted), 6)
     edges = np.array([limit.stiffness for limit in theory.k_max_curve(lifted, None, b)])
     near = edges * (1.0 + np.geomspace(1e-8, 0.1, 8) * np.array([[1.0], [-1.0]])).reshape(-1, 1)
@@ -297,12 +279,8 @@ def test_powers_of_the_period_agree_with_its_eigenvalues(rig: str, operator: str
 
 
 CHAWDA = presets.load("chawda-linear")
-COGS = {
-    "rig.cogging.period": 0.02,
-    "rig.cogging.orders": [1],
-    "rig.cogging.cosine": [0.0],
-    "rig.cogging.sine": [0.5],
-}
+COGS = {f"rig.cogging.{key}": value for key, value in
+        {"period": 0.02, "orders": [1], "cosine": [0.0], "sine": [0.5]}.items()}  # fmt: skip
 SLOPE = 0.5 * 2.0 * math.pi / 0.02  # N/m
 
 
@@ -312,10 +290,7 @@ def test_cogging_is_a_spring_at_the_motor_where_it_is_stiffest_and_where_it_is_s
     mass, damping = 0.52, 13.2
     loop = theory.linear_loop(experiment, "uniform:1k")
     assert loop.softest is not None
-    assert (loop.softest.cogging, loop.cogging) == (
-        pytest.approx(-SLOPE, rel=2e-3),
-        pytest.approx(SLOPE, rel=2e-3),
-    )
+    assert (loop.softest.cogging, loop.cogging) == pytest.approx((-SLOPE, SLOPE), rel=2e-3)
     lifted = theory.Lifted.of(loop)
     assert lifted.softest is not None
     for place in (lifted, lifted.softest):
@@ -324,9 +299,8 @@ def test_cogging_is_a_spring_at_the_motor_where_it_is_stiffest_and_where_it_is_s
         alone = replace(place, softest=None)
         assert float(alone.radius(0.0, 0.0)) == pytest.approx(math.exp(s.real * 1e-3), rel=1e-9)
     assert float(lifted.softest.radius(0.0, 0.0)) > 1.0 > float(lifted.softest.radius(1.1 * SLOPE, 0.0))
-    assert float(lifted.radius(0.9 * SLOPE, 0.0)) < 1.0, (
-        "softer than the detents: it slides, and oscillates nowhere"
-    )
+    # Softer than the detents: it slides, and oscillates nowhere.
+    assert float(lifted.radius(0.9 * SLOPE, 0.0)) < 1.0
 
 
 def test_a_wall_is_judged_at_the_worse_place_from_it_to_the_end_of_the_window() -> None:
@@ -339,15 +313,8 @@ def test_a_wall_is_judged_at_the_worse_place_from_it_to_the_end_of_the_window() 
     worse = min(theory.k_max(place, None, 20.0).highest for place in places)
     assert theory.k_max(lifted, None, 20.0).stiffness == pytest.approx(worse, rel=1e-6)
     # A window that ends before the slope turns: cogging there only softens the wall.
-    short = {
-        **COGS,
-        "rig.limits.position_maximum": 0.004,
-        "trial.effort": 1.0,
-        "trial.minimum_rest_counts": 0.0,
-    }
-    near = theory.linear_loop(config.override(CHAWDA, short), "uniform:1k")
-    assert (near.cogging, near.softest is not None and near.softest.cogging) == (
-        0.0,
-        pytest.approx(-SLOPE, rel=2e-3),
-    )
+    short = {"rig.limits.position_maximum": 0.004, "trial.effort": 1.0, "trial.minimum_rest_counts": 0.0}
+    near = theory.linear_loop(config.override(CHAWDA, {**COGS, **short}), "uniform:1k")
+    assert near.softest is not None
+    assert (near.cogging, near.softest.cogging) == (0.0, pytest.approx(-SLOPE, rel=2e-3))
     assert theory.linear_loop(CHAWDA, "uniform:1k").softest is None

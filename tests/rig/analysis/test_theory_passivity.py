@@ -40,10 +40,6 @@ def test_beta_of_a_bare_difference_is_one(rates: str) -> None:
     assert beta("uniform:1k,cutoff_hz=499") == pytest.approx(1.0, abs=1e-3)
 
 
-def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing() -> None:
-    assert beta("uniform:2k,prediction=extrapolate") == beta("uniform:2k")
-
-
 def test_on_two_masses_the_damper_behind_the_capstan_counts_in_series() -> None:
     """Search the least Re Z at the motor over all frequencies and passive hands; a sum would be too large."""
     mechanics = replace(KOUL.mechanics, link_damping=0.03, end_mass=0.0)
@@ -95,9 +91,8 @@ def test_one_damping_of_the_rig_stands_in_all_of_a_bound() -> None:
         _, line, ideal, *_ = found.bounds
         assert found.rig_damping == subject.port_damping
         assert ideal.stiffness == pytest.approx((b - found.beta * damping) / 0.25e-4)
-        assert line.stiffness == pytest.approx(
-            (b - found.beta * damping) / (0.25e-4 + theory.linear_loop(heavy, "uniform:20k").late_s)
-        )
+        late_s = theory.linear_loop(heavy, "uniform:20k").late_s
+        assert line.stiffness == pytest.approx((b - found.beta * damping) / (0.25e-4 + late_s))
     prompt = replace(heavy, amplifier=replace(heavy.amplifier, lag_s=0.0))
     found = {b.name: b for b in theory.passivity_bound(prompt, "uniform:20k").bounds}
     assert found["Colgate and Schenkel"].stiffness == pytest.approx(subject.port_damping / 0.25e-4)
@@ -133,9 +128,8 @@ def test_no_closed_form_is_given_where_back_emf_is_damping_of_slow_motion_only()
     assert line.meaning == "necessary"
     assert line.stiffness == pytest.approx(0.0283 / (0.25e-4 + 1.09e-4))
     assert 0.97 * line.stiffness < undamped["passivity, lag and delay counted"].stiffness < line.stiffness
-    assert theory.k_max(VOLTAGE, "uniform:20k").stiffness == pytest.approx(
-        undamped["Gil"].stiffness, rel=1e-3
-    )
+    rule = undamped["Gil"].stiffness
+    assert theory.k_max(VOLTAGE, "uniform:20k").stiffness == pytest.approx(rule, rel=1e-3)
     prompt = replace(VOLTAGE, amplifier=replace(VOLTAGE.amplifier, lag_s=0.0))
     found = theory.passivity_bound(prompt, "uniform:20k", 0.02).bounds[0]
     assert (found.name, found.meaning) == ("Colgate and Schenkel", "exact")
@@ -153,13 +147,8 @@ def test_no_closed_form_is_given_where_back_emf_is_damping_of_slow_motion_only()
 def test_no_rule_under_voltage_drive_is_unsafe(
     log_inertia: float, log_damping: float, log_back_emf: float, log_lag: float, scheme: str
 ) -> None:
-    mechanics = replace(
-        RIGID.mechanics,
-        motor_inertia=10**log_inertia,
-        motor_damping=10**log_damping,
-        link_damping=0.0,
-        end_mass=0.0,
-    )
+    motor = {"motor_inertia": 10**log_inertia, "motor_damping": 10**log_damping}
+    mechanics = replace(RIGID.mechanics, **motor, link_damping=0.0, end_mass=0.0)
     amplifier = replace(VOLTAGE.amplifier, back_emf_damping=10**log_back_emf, lag_s=10**log_lag)
     rig = replace(VOLTAGE, mechanics=mechanics, amplifier=amplifier)
     assert theory.rigid_b_max(theory.linear_loop(rig, scheme)) < theory.b_max(rig, scheme).damping

@@ -25,23 +25,12 @@ from tests.conformance.trials import trial_on
 HELD = config.override(
     presets.load("koul-compliant"),
     {
-        "trial.kind": "human",
-        "rig.limits.human": True,
-        "rig.limits.effort": 0.2,
-        "rig.limits.override_stall": True,
-        "operator.press": 1.0,
-        "trial.baseline_s": 0.2,
-        "trial.foreperiod_s": 0.3,
-        "trial.duration_s": 1.2,
-        "trial.hold_s": 0.6,
-        "wall.stiffness": 60.0,
-        "wall.damping": 0.1,
-        "controller.position_rate": 2_000,
-        "controller.velocity_rate": 2_000,
-        "verdict.tail_s": 0.3,
-        "verdict.lowpass_hz": 400.0,
+        "trial.kind": "human", "rig.limits.human": True, "rig.limits.effort": 0.2, "rig.limits.override_stall": True,
+        "operator.press": 1.0, "trial.baseline_s": 0.2, "trial.foreperiod_s": 0.3, "trial.duration_s": 1.2,
+        "trial.hold_s": 0.6, "wall.stiffness": 60.0, "wall.damping": 0.1, "controller.position_rate": 2_000,
+        "controller.velocity_rate": 2_000, "verdict.tail_s": 0.3, "verdict.lowpass_hz": 400.0,
     },
-)
+)  # fmt: skip
 RATE = HELD.controller.position_rate
 
 

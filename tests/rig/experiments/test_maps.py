@@ -1,7 +1,6 @@
 """Stored maps: units, a table that other programs open, and a finished map that is read instead of recomputed."""
 
 import json
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from rig import config
-from rig.config import _load as load
 from rig.core.errors import RecordingError
 from rig.experiments.mapping import _maps as maps
 from rig.experiments.sweep import _executors as executors
@@ -46,22 +44,6 @@ def test_a_finished_map_is_read_again_without_a_hit(place: Any, monkeypatch: pyt
     monkeypatch.setattr(executors, "Threads", None)
     found = maps.map_into(PLAN, place)
     assert found.hits == json.loads((place / maps.SUMMARY).read_text())["hits"]
-
-
-def test_each_series_of_a_plan_is_checked_once_and_never_where_it_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    checked: Counter[tuple[float, float]] = Counter()
-    broken_rules = load.broken_rules
-
-    def counted(x: config.Experiment) -> Any:
-        checked[x.wall.damping, x.rig.encoder.offset] += 1
-        return broken_rules(x)
-
-    monkeypatch.setattr(load, "broken_rules", counted)
-    plan = short_map(0.2, 0.7)
-    maps.map_into(plan, maps.directory_for(plan, tmp_path, "zwidth"), workers=1)
-    assert [checked[one.damping, one.offset] for one in plan.series()] == [1, 1, 1, 1]
 
 
 def test_the_directory_depends_on_plan_and_device(tmp_path: Path) -> None:

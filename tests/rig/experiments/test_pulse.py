@@ -42,15 +42,10 @@ RIGID = config.override(presets.load("koul-rigid"), {"rig.amplifier.current_moni
 PERSON = config.override(
     RIGID,
     {
-        "trial.kind": "human",
-        "rig.limits.human": True,
-        "rig.limits.effort": 0.28,
-        "operator.press": 2.0,
-        "homing.tolerance_counts": 200.0,
-        "trial.duration_s": 0.55,
-        "verdict.tail_s": 0.1,
+        "trial.kind": "human", "rig.limits.human": True, "rig.limits.effort": 0.28, "operator.press": 2.0,
+        "homing.tolerance_counts": 200.0, "trial.duration_s": 0.55, "verdict.tail_s": 0.1,
     },
-)
+)  # fmt: skip
 
 
 BY = {loop: config.override(RIGID, {"controller.loop": loop}) for loop in ("host", "device")}
@@ -100,19 +95,6 @@ def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, 
     assert all(check.remedy for check in refused)
     with pytest.raises(IdentificationError, match="does not move as it is described"):
         found.insist()
-
-
-@pytest.mark.exhaustive("::test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_current")
-@pytest.mark.parametrize(
-    ("fault", "outcome"), first_by_default([("motor × 2", Outcome.REFUSED), ("sound", Outcome.OK)])
-)
-def test_a_push_in_coarse_steps_of_current_shows_the_scale(
-    fault: str, outcome: Outcome, tmp_path: Path
-) -> None:
-    """A current quantum is a ninth of the hapkit's friction, and damping takes most of the effort above friction."""
-    hapkit = config.override(presets.load("hapkit"), {"rig.amplifier.current_monitor": False})
-    found = pulsed(hapkit, FAULTS[fault], 0.0, tmp_path / "pulse.rigcap")
-    assert {check.name: check.outcome for check in found.checks}["size"] is outcome
 
 
 def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_current(tmp_path: Path) -> None:

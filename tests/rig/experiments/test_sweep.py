@@ -92,11 +92,6 @@ def test_values_that_json_cannot_hold_have_one_form_from_memory_and_journal(tmp_
     assert fresh["given"] == {"pair": [1, 2.5], "none": None, "sorted": {"a": math.inf, "b": 1}}
 
 
-@given(st.lists(st.floats(), max_size=20))
-def test_floats_keep_every_bit_through_json(values: list[float]) -> None:
-    assert [value.hex() for value in json.loads(as_json(values))] == [value.hex() for value in values]
-
-
 def test_heavy_tasks_go_first_and_the_order_of_results_stays(tmp_path: Path) -> None:
     log = tmp_path / "log"
     tasks = [replace(task, weight=weight) for task, weight in zip(marks(3, log), (1, 9, 3), strict=True)]

@@ -379,18 +379,6 @@ def test_ctrl_c_while_arming_moves_nothing(
     assert len(open_recording(caught.value.recording)) == 0
 
 
-@pytest.mark.signals
-def test_an_ignored_interrupt_stays_ignored(tmp_path: Path) -> None:
-    """SIGINT is ignored under nohup, and in the background of a shell without job control."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        bench = Bench(tmp_path)
-        end = bench.run(progress=lambda ticks, phase: signal.raise_signal(signal.SIGINT))
-        assert end.reason == EndReason.FINISHED
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 # ---------------------------------------------------------------------- endings in words
 
 
