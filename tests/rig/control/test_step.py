@@ -1,6 +1,5 @@
 """One tick of the control law: order of its steps, two rates, phases, cuts to zero, and the motion of a handle."""
 
-import json
 import math
 import os
 import subprocess
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from rig.control import estimators, laws
 from rig.control.law import Law
 from rig.control.step import CONTROL, MEMORY, ControllerState, new_memory, step
-from rig.core.errors import ConfigError, RecordingError
+from rig.core.errors import RecordingError
 from rig.core.sample import Phase, RowFlag
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, LAW_SIGNATURE
@@ -111,13 +110,6 @@ def infinite(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, pa
 
 
 @kernel(LAW_SIGNATURE)
-def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    if penetration > 0.0:
-        raise ValueError("my law has a bug")
-    return 0.0
-
-
-@kernel(LAW_SIGNATURE)
 def spy(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
     """Store the arguments in the state, after the word that marks clamping."""
     state[1] = penetration
@@ -162,21 +154,15 @@ def test_penetration_is_side_times_distance(count: int, reference: int, side: An
     assert tick.has(RowFlag.INSIDE) == (tick.penetration > 0.0)
 
 
-def test_an_encoder_that_counts_backwards_changes_nothing_but_the_counts() -> None:
-    forward = Tick(wall={"stiffness": 1e4, "damping": 5.0})
-    backward = Tick(wall={"stiffness": 1e4, "damping": 5.0}, resolution=-DELTA)
-    for count in (0, 100, 250, 180):
-        assert forward(count) == backward(-count)
-        assert forward.velocity == backward.velocity
-
-
 def test_a_wall_on_the_other_side_is_the_mirror_image() -> None:
     """Entered with falling position, it pushes up, and its damping brakes inward motion too."""
     right = Tick(wall={"stiffness": 1e4, "damping": 5.0}, wall_position=1e-4)
     left = Tick(wall={"stiffness": 1e4, "damping": 5.0}, wall_position=-1e-4, wall_side=-1.0)
+    backward = Tick(wall={"stiffness": 1e4, "damping": 5.0}, wall_position=1e-4, resolution=-DELTA)
     for count in (0, 90, 200, 420, 400):
-        right(count)
+        assert right(count) == backward(-count), "an encoder that counts backwards"
         left(-count)
+        assert backward.velocity == right.velocity
         assert (right.penetration, right.effort_wall) == (left.penetration, left.effort_wall)
         assert right.effort_wanted == -left.effort_wanted
 
@@ -184,18 +170,12 @@ def test_a_wall_on_the_other_side_is_the_mirror_image() -> None:
 # --- 3: two rates -----------------------------------------------------------------------------------------
 
 
-def test_the_wall_sees_this_ticks_position_and_the_held_velocity() -> None:
+def test_the_law_receives_this_ticks_position_the_held_velocity_and_the_elapsed_ticks() -> None:
     tick = Tick(velocity_divider=4, law=law_of(spy))
-    state = tick.controller.law.state
-    for k in range(12):
-        tick(100 * k * k)
-        velocity = tick.velocity
-        assert state[1] == 100 * k * k * DELTA
-        assert state[2] == velocity
-        if k >= 4:
-            last = 4 * (k // 4)
-            slope = 100 * (last**2 - (last - 4) ** 2) * DELTA / (4 * TICK_S)
-            assert velocity == pytest.approx(slope, rel=1e-12)
+    for k, elapsed in enumerate([1] * 10 + [2]):
+        tick(100 * k * k, elapsed)
+        assert tick.controller.law.state[1:].tolist() == [100 * k * k * DELTA, tick.velocity, elapsed]
+    assert tick.velocity == pytest.approx(100 * (8**2 - 4**2) * DELTA / (4 * TICK_S), rel=1e-12)
 
 
 @given(divider=st.integers(1, 12), gaps=st.lists(st.integers(1, 40), min_size=1, max_size=40))
@@ -227,13 +207,6 @@ def test_estimator_receives_the_mean_effort_that_was_active_since_its_last_run()
     assert mean[0] == pytest.approx(5 * PLAIN["effort_quantum"], rel=1e-12)
 
 
-def test_law_receives_the_elapsed_ticks() -> None:
-    tick = Tick(law=law_of(spy))
-    tick(0)
-    tick(0, 6)
-    assert tick.controller.law.state[3] == 6
-
-
 def test_the_estimator_runs_outside_the_wall_too() -> None:
     """An estimator restarted at the surface would read zero there: the first peak would change by a fifth."""
     tick = Tick(wall={"stiffness": 0.0, "damping": 10.0})
@@ -246,14 +219,6 @@ def test_the_estimator_runs_outside_the_wall_too() -> None:
 # --- 4, 5: law and sources --------------------------------------------------------------------------------
 
 
-def test_the_push_acts_inside_and_outside_and_the_wall_against_it() -> None:
-    tick = Tick(wall={"stiffness": 1000.0}, constant_effort=20.0)
-    tick(-5000)
-    assert (tick.effort_wall, tick.effort_wanted) == (0.0, 20.0)
-    tick(5000)
-    assert (tick.effort_wall, tick.effort_wanted) == (pytest.approx(5.0), pytest.approx(15.0))
-
-
 def test_a_wall_that_would_have_pulled_is_marked_in_the_row() -> None:
     tick = Tick(wall={"stiffness": 100.0, "damping": 50.0})
     tick(2000)
@@ -263,13 +228,6 @@ def test_a_wall_that_would_have_pulled_is_marked_in_the_row() -> None:
     assert tick.has(RowFlag.CLAMPED)
     tick(1000)
     assert not tick.has(RowFlag.CLAMPED)
-
-
-def test_an_exception_in_a_users_law_reaches_the_caller_as_itself() -> None:
-    tick = Tick(law=law_of(raises))
-    assert tick(-1) == 0
-    with pytest.raises(ValueError, match="my law has a bug"):
-        tick(1)
 
 
 # --- 6, 7: the guard --------------------------------------------------------------------------------------
@@ -288,7 +246,11 @@ def test_sent_effort_is_the_limited_sum_in_whole_quanta(effort: float, quantum: 
 
 
 @pytest.mark.parametrize("law", [not_a_number, infinite])
-def test_an_effort_that_is_not_finite_is_cut_to_zero_and_ends_the_run(law: Any) -> None:
+def test_an_effort_or_a_velocity_that_is_not_finite_is_cut_to_zero_and_ends_the_run(law: Any) -> None:
+    outside = Tick(estimator=estimator_of(blind), constant_effort=20.0)
+    assert outside(-1) == 0
+    assert outside.has(RowFlag.NONFINITE)
+    assert outside.phase == Phase.DONE
     tick = Tick(law=law_of(law), constant_effort=20.0)
     assert tick(-1) == 2000
     assert tick(1) == 0
@@ -297,13 +259,6 @@ def test_an_effort_that_is_not_finite_is_cut_to_zero_and_ends_the_run(law: Any) 
     assert (tick.effort_sent, tick.current_sent) == (0.0, 0)
     assert not math.isfinite(tick.effort_wanted)  # the row shows what the law asked for
     assert tick(-1) == 0  # and it stays ended
-
-
-def test_a_velocity_that_is_not_a_number_ends_the_run_also_outside_the_wall() -> None:
-    tick = Tick(estimator=estimator_of(blind), constant_effort=20.0)
-    assert tick(-1) == 0
-    assert tick.has(RowFlag.NONFINITE)
-    assert tick.phase == Phase.DONE
 
 
 @pytest.mark.parametrize("count", [1001, -501])
@@ -334,14 +289,10 @@ def test_a_slew_limit_that_binds_in_a_trial_is_marked_and_starts_from_the_effort
         tick(-1)
         sent.append((tick.effort_sent, tick.has(RowFlag.SLEW_BOUND)))
     assert sent == [(8.0, True), (16.0, True), (20.0, False), (20.0, False)]
-
-
-def test_the_slew_limit_grows_with_the_ticks_that_were_lost() -> None:
     tick = Tick(constant_effort=20.0, trial_slew=8.0)
     tick(-1)
-    tick(-1, 2)
-    assert tick.effort_sent == 20.0
-    assert not tick.has(RowFlag.SLEW_BOUND)
+    tick(-1, 2)  # a lost tick counts
+    assert (tick.effort_sent, tick.has(RowFlag.SLEW_BOUND)) == (20.0, False)
 
 
 def test_rounding_does_not_pile_up_under_the_slew_limit() -> None:
@@ -386,7 +337,7 @@ def test_in_free_space_nothing_pushes_and_the_trial_begins_after_it() -> None:
 def test_person_who_moves_before_the_cue_has_no_trial() -> None:
     tick = Tick(**FREE, **STAY)
     phases(tick, 3)
-    assert [tick(100) for _ in range(1)] == [0]
+    assert tick(100) == 0
     assert tick.phase == Phase.FREE
     assert phases(tick, 3, count=101) == [Phase.DONE] * 3
 
@@ -398,11 +349,8 @@ def test_the_hold_counts_from_the_first_contact_and_leaving_does_not_restart_it(
     assert phases(tick, 1, count=201) == [Phase.TRIAL]
     assert phases(tick, 2) == [Phase.TRIAL] * 2
     assert phases(tick, 3, count=201) == [Phase.TRIAL, Phase.TRIAL, Phase.RELEASE]
-
-
-def test_without_a_contact_the_trial_ends_in_its_time() -> None:
-    tick = Tick(**FREE, **STAY, hold_ticks=100)
-    assert phases(tick, 12)[5:] == [*[Phase.TRIAL] * 6, Phase.RELEASE]
+    never = Tick(**FREE, **STAY, hold_ticks=100)
+    assert phases(never, 12)[5:] == [*[Phase.TRIAL] * 6, Phase.RELEASE], "without contact, its time ends it"
 
 
 def test_lost_ticks_count_as_time_in_every_phase() -> None:
@@ -516,9 +464,6 @@ def test_homing_efforts_rise_no_faster_than_the_homing_slew() -> None:
     assert efforts[-1] > 1.5
 
 
-# --- what the handle feels --------------------------------------------------------------------------------
-
-
 # --- saved and continued ----------------------------------------------------------------------------------
 
 
@@ -556,22 +501,8 @@ def test_a_saved_controller_continues_bit_for_bit_after_json() -> None:
     one = Tick(**DUAL)
     lively(one, 137, seed=1)
     two = Tick(**DUAL)
-    saved = json.loads(json.dumps(one.controller.as_mapping()))
-    two.controller = ControllerState.from_mapping(saved)
+    two.controller = ControllerState.from_mapping(json.loads(json.dumps(one.controller.as_mapping())))
     assert lively(one, 200, seed=2) == lively(two, 200, seed=2)
-    assert one.controller.as_mapping() == two.controller.as_mapping()
-
-
-def test_a_saved_controller_is_a_copy() -> None:
-    tick = Tick(**DUAL)
-    saved = tick.controller.as_mapping()
-    before = json.dumps(saved)
-    lively(tick, 20, seed=1)
-    assert json.dumps(saved) == before
-    again = ControllerState.from_mapping(saved)
-    again.memory["velocity"] = 5.0
-    again.estimator.state_f[0] = 5.0
-    assert json.dumps(saved) == before
 
 
 @pytest.mark.parametrize("part", ["control", "memory"])
@@ -591,13 +522,6 @@ def test_a_saved_controller_with_a_memory_of_another_size_is_refused() -> None:
         saved = Tick(**DUAL).controller.as_mapping()
         with pytest.raises(RecordingError, match="a different size"):
             ControllerState.from_mapping({**saved, part: {**saved[part], name: [0.0] * 1000}})
-
-
-def test_a_saved_controller_whose_law_is_not_known_here_needs_it_given() -> None:
-    saved = Tick(law=law_of(spy)).controller.as_mapping()
-    with pytest.raises(ConfigError, match="unknown law 'test'"):
-        ControllerState.from_mapping(saved)
-    assert ControllerState.from_mapping(saved, law=law_of(spy)).law.law.function is spy
 
 
 def digest() -> str:
