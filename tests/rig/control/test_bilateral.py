@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from rig.control import bilateral, laws
 from rig.control.excitation import ramp
-from rig.control.step import ControllerState
 
 WALL = {"stiffness": 1000.0, "damping": 5.0, "side": 1, "pull": "clamp", "damping_on": "both"}
 TABLE = np.array([1.0, -2.0, 3.0, 0.5])
@@ -74,11 +73,3 @@ def test_the_laws_are_found_by_name_so_that_a_recording_can_be_replayed() -> Non
     for name in ("bilateral", "excited"):
         assert name in laws.names()
         assert laws.get(name).prepare(WALL).parameters[:2].tolist() == [1000.0, 5.0]
-    saved = bilateral.excited_law(TABLE, 7).prepare(WALL)
-    from rig.config import controller, presets  # noqa: PLC0415
-
-    plain = controller.for_experiment(
-        presets.load("chawda-linear"), current_quantum_a=0.001, law=bilateral.excited_law(TABLE, 7)
-    )
-    again = ControllerState.from_mapping(plain.as_mapping())
-    assert again.law.parameters.tobytes()[16:] == saved.parameters.tobytes()[16:]

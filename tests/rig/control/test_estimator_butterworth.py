@@ -36,21 +36,6 @@ def test_each_order_is_scipys_filter(motion: Any, order: Any, cutoff_hz: float) 
     )
 
 
-@given(motion=MOTION, cutoff_hz=st.floats(5.0, 900.0))
-def test_order_two_is_one_biquad_to_the_bit(motion: Any, cutoff_hz: float) -> None:
-    """The oracle is a plain transposed direct form II with scipy's coefficients; exact bits let recordings replay."""
-    counts = np.cumsum(motion).tolist()
-    (b0, b1, b2), (_, a1, a2) = (c.tolist() for c in signal.butter(2, cutoff_hz, fs=1 / PERIOD))
-    s1 = s2 = 0.0
-    expected = []
-    for x in differences(counts).tolist():
-        y = b0 * x + s1
-        s1 = b1 * x - a1 * y + s2
-        s2 = b2 * x - a2 * y
-        expected.append(y)
-    assert velocities(butterworth(cutoff_hz=cutoff_hz), counts).tolist() == expected
-
-
 @pytest.mark.parametrize("order", [1, 3, 8])
 def test_every_order_keeps_the_promises_of_the_family(order: int) -> None:
     check_estimator("fdm-butterworth", {"order": order})

@@ -102,15 +102,6 @@ def test_after_a_gap_too_long_to_run_through_it_starts_anew_on_the_mean_slope() 
     assert prepared.state_f[ERROR] == 0.0
 
 
-@given(
-    counts=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=50),
-    bound=st.sampled_from([1e-6, 1.0, 1e9]),
-    scheme=st.sampled_from(levant.SCHEMES),
-)
-def test_any_counts_and_bound_give_a_finite_velocity(counts: list[int], bound: Any, scheme: Any) -> None:
-    assert np.isfinite(run(counts, lipschitz=bound, discretisation=scheme)).all()
-
-
 CHATTER = [  # gains, scheme, rms and peak of u in α·T: PHYSICS 2c
     ("hba-sc", "explicit", 1.167, 1.665),
     ("levant", "explicit", 0.707, 1.000),

@@ -15,19 +15,12 @@ from rig.testing.estimators import check_estimator, velocities
 from tests.conformance.estimator import KNOWN_LIMITS
 
 RESOLUTION, PERIOD = 1e-5, 5e-4  # 10 µrad or µm; 2 kHz
-CUTOFF = 200.0
 
 COUNT = st.integers(-(2**31), 2**31 - 1)
 
 
-def fdm(resolution: float = RESOLUTION, period_s: float = PERIOD) -> Prepared:
-    return estimators.get("fdm").prepare({}, resolution, period_s)
-
-
-def butterworth(
-    resolution: float = RESOLUTION, period_s: float = PERIOD, cutoff_hz: float = CUTOFF
-) -> Prepared:
-    return estimators.get("fdm-butterworth").prepare({"cutoff_hz": cutoff_hz}, resolution, period_s)
+def butterworth(cutoff_hz: float = 200.0) -> Prepared:
+    return estimators.get("fdm-butterworth").prepare({"cutoff_hz": cutoff_hz}, RESOLUTION, PERIOD)
 
 
 @pytest.mark.parametrize("name", estimators.names())

@@ -15,13 +15,6 @@ from rig.core.present import plain
 BAND = (1.0, 250.0)
 
 
-def test_equal_amplitudes_get_schroeders_textbook_phases() -> None:
-    n = 250
-    k = np.arange(1, n + 1)
-    found = Multisine.schroeder(BAND, rms=1.0, first_phase=0.3).phases
-    assert np.exp(1j * found) == pytest.approx(np.exp(1j * (0.3 - np.pi * k * (k - 1) / n)), abs=1e-9)
-
-
 def test_unequal_amplitudes_get_schroeders_general_phases() -> None:
     amplitudes = np.array([3.0, 1.0, 2.0, 0.5])
     share = amplitudes**2 / np.sum(amplitudes**2)

@@ -1,5 +1,6 @@
 """One tick of the control law: order of its steps, two rates, phases, cuts to zero, and the motion of a handle."""
 
+import json
 import math
 import os
 import subprocess
