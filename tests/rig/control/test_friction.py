@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numba import types
 
 from rig import config
 from rig.config import controller, presets
@@ -19,13 +18,11 @@ from rig.control.friction import (
     compensation,
     dead_band_of,
 )
-from rig.control.step import CONTROLLER_TYPE, ControllerArguments, step
+from rig.control.step import step
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
-from rig.realtime.groups import group_at, group_bytes
-from rig.realtime.kernel import kernel
 from rig.testing import Hits
-from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
+from sim_backend.mechanics.plant import DiscretePlant, advance
 
 LEVEL = 0.02  # of koul-rigid (N·m)
 FREE = config.override(
@@ -105,40 +102,16 @@ def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, 
     state = plant.at_rest(0.0)
     state[1] = velocity
     states, efforts, pushes = [], [], []
-    law_memory = np.zeros(-(-group_bytes(ControllerArguments) // 8), np.int64)
-    plant_memory = np.zeros(-(-group_bytes(PlantArguments) // 8), np.int64)
     arguments, moving = control.arguments(), plant.arguments(state)
-    keep(law_memory.ctypes.data, plant_memory.ctypes.data, arguments, moving)
     count = plant.count(state)
     for tick in range(round(seconds * rate)):
-        run(law_memory.ctypes.data, count)
+        step(arguments, count, 1.0, 1, 0)
         push = external(tick / rate, state)
         states.append(state[:2].copy())
         efforts.append(float(control.memory["effort_sent"][0]))
         pushes.append(push)
-        count = move(plant_memory.ctypes.data, efforts[-1], push)
+        count = advance(moving, efforts[-1], push)
     return np.array(states), np.array(efforts), np.array(pushes)
-
-
-# Tick and plant for plain Python, behind addresses: to take their groups apart costs more than they do.
-put_law, law_at = group_at(ControllerArguments)
-put_plant, plant_at = group_at(PlantArguments)
-
-
-@kernel(types.void(types.int64, types.int64, CONTROLLER_TYPE, PLANT_TYPE))
-def keep(law: Any, plant: Any, arguments: Any, moving: Any) -> None:
-    put_law(law, arguments)
-    put_plant(plant, moving)
-
-
-@kernel(types.int64(types.int64, types.int64), no_refcount=True)
-def run(law: Any, count: Any) -> Any:
-    return step(law_at(law), count, 1.0, 1, 0)
-
-
-@kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
-def move(plant: Any, effort: Any, push: Any) -> Any:
-    return advance(plant_at(plant), effort, push)
 
 
 @pytest.fixture(scope="module")
