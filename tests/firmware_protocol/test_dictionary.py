@@ -124,7 +124,3 @@ def test_arbitrary_value_is_accepted_or_a_remote_protocol_error(value: object) -
             assert isinstance(decode(repack(**{key: value})), Dictionary)
         except RemoteProtocolError:
             continue
-
-
-def test_it_fits_the_pages() -> None:
-    assert len(PACKED) < 8192, "read over a 1 ms link in a quarter of a second"
