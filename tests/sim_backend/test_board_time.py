@@ -15,12 +15,12 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import unpack
-from rig.devices.port import PORT_TYPE, LoopPort
+from rig.devices.port import LoopPort
 from rig.realtime.callbacks import callback_plugs
 from rig.realtime.clock import VirtualClock
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice
-from sim_backend.ends.board_time import LONGEST_PAUSE_NS, PENDING_BYTES, BoardTime, keep_time
+from sim_backend.ends.board_time import LONGEST_PAUSE_NS, PENDING_BYTES, BoardTime
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
@@ -252,9 +252,3 @@ def test_nothing_compiles_once_a_host_can_open_the_port(hand: str) -> None:
         [sys.executable, "-c", ANNOUNCED, hand], capture_output=True, text=True, timeout=100, check=False
     )
     assert (done.stdout, done.stderr) == ("1 [] False\n", "")
-
-
-def test_call_passes_the_port_as_one_value() -> None:
-    # Its five functions cost Python most of a tick of 1 kHz on a busy computer; a driven hand needs each third tick.
-    (signature,) = keep_time.declared
-    assert PORT_TYPE not in signature.args

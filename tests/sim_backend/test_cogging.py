@@ -13,8 +13,7 @@ from scipy.special import ellipk
 from rig.core.model import Cogging, Operator, RigModel
 from rig.core.operators import GRIPS
 from sim_backend.mechanics.plant import DiscretePlant, advance, energy
-from tests.sim_backend.test_physics import CAPSTAN
-from tests.sim_backend.test_plant import LINEAR, run
+from tests.sim_backend.test_plant import CAPSTAN, LINEAR, run
 
 TICK_S = 1e-4
 LOSSLESS = replace(CAPSTAN, mechanics=replace(CAPSTAN.mechanics, transmission_damping_ratio=0.0))

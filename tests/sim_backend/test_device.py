@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from firmware_protocol import messages as m
 from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
-from firmware_protocol.framing import encode_frame
 from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import BY_NAME, DEFAULTS
@@ -147,56 +146,8 @@ def test_the_sync_input_is_shown_with_the_time_at_which_it_rose() -> None:
     device.sync_input(False)
     state = exchange(host, 0)
     assert (state.sync_time, state.inputs & Input.SYNC) == (rose, 0)
-
-
-def test_the_sync_input_may_rise_between_two_samples() -> None:
-    host = armed()
-    device = device_of(host)
-    device.sync_input(True, at=device.time + 77)
+    device.sync_input(True, at=device.time + 77)  # between two samples
     assert exchange(host, 0).sync_time == device.time + 77 - round(TICK_S * 16e6)
-
-
-PINS = Input.SYNC_TRIAL | Input.SYNC_INSIDE
-
-
-@pytest.mark.parametrize("end", ["stop", "silence", "fault", "disarm", "another session"])
-def test_the_sync_outputs_go_low_when_their_command_is_over(end: str) -> None:
-    host = armed()
-    assert exchange(host, 50, flags=int(m.Sync.TRIAL), lifetime_us=5_000).inputs & PINS
-    device = device_of(host)
-    if end == "stop":
-        host.command(50, mode=m.Mode.STOP, flags=0xFF)
-    elif end == "fault":
-        device.inject_fault(Fault.INTERNAL)
-    elif end in ("disarm", "another session"):
-        host.disarm()
-        if end == "another session":
-            host.arm(2, host.configure(**RUN_PARAMETERS).crc)
-    if end == "silence":
-        states = silence(host, 30)
-        low = next(i for i, state in enumerate(states) if not state.inputs & PINS)
-        assert low == 9  # 5 ms, less the tick that has passed
-        assert states[low].limits == LimitFlag.RAMPING
-        assert not any(state.inputs & PINS for state in states[low:])
-    else:
-        assert host.next_state().inputs & PINS == 0
-        assert device.sync == 0
-
-
-@given(
-    st.lists(st.tuples(st.integers(0, 0x7F), st.binary(min_size=2, max_size=40)), max_size=10), st.booleans()
-)
-def test_no_well_framed_nonsense_can_make_it_raise_or_move(
-    frames: list[tuple[int, bytes]], run: bool
-) -> None:
-    host = host_of()
-    if run:
-        host.begin(current_limit=0)
-    device = device_of(host)
-    for sequence, (type_id, payload) in enumerate(frames):
-        device.receive(encode_frame(bytes([1, type_id, 0, run, sequence, 0]) + payload))
-        device.tick()
-    assert device.truth()["effort_true"].tolist() == [0.0] * len(device.truth())
 
 
 # ---------------------------------------------------------------------- time
@@ -327,13 +278,6 @@ def test_the_thermal_model_brings_the_current_down_to_what_the_motor_bears() -> 
     assert states[reduced].limits & LimitFlag.THERMAL
     assert states[-1].fault == Fault.NONE
     assert np.mean([state.current_commanded for state in states[reduced:]]) == pytest.approx(200, rel=0.05)
-
-
-def test_supervise_feeds_the_watchdog_and_gives_no_current() -> None:
-    host = armed()
-    for _ in range(3):
-        assert exchange(host, 50, mode=m.Mode.SUPERVISE).current_commanded == 0
-    assert host.states[-1].state == State.RUNNING
 
 
 # ---------------------------------------------------------------------- the watchdog
@@ -580,18 +524,6 @@ def test_a_reset_forgets_homing_verification_parameters_and_session_but_not_the_
     assert host.arm(1, host.configure(**unhomed).crc).status == Status.NOT_HOMED
     ack = host.configure(reference_count=0)
     assert host.arm(1, ack.crc).status == Status.NOT_VERIFIED
-
-
-def test_missed_ticks_pass_in_the_plant_and_are_counted() -> None:
-    host = armed()
-    exchange(host, 50, ticks=10)
-    before = host.states[-1]
-    for _ in range(7):
-        device_of(host).miss()
-    state = host.next_state()
-    assert state.missed_ticks == 7
-    assert state.sample_index == before.sample_index + 8
-    assert host.connection.statistics.lost == 7
 
 
 def judge(safety: Safety, count: int, current: int, measured: int) -> int:

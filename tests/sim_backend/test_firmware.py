@@ -26,7 +26,7 @@ from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Faults, Happening
 from rig.realtime import _c_library as c_library
 from rig.realtime._c_library import CLibrary
-from sim_backend.board import firmware_library, lockstep
+from sim_backend.board import firmware_library
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.board.firmware_library import FIRMWARE
@@ -152,13 +152,6 @@ def test_a_compiler_that_fails_is_quoted(
     assert not list(tmp_path.glob("firmware-*"))
 
 
-def test_undefined_function_in_a_source_is_an_error_of_the_compiler(tmp_path: Path) -> None:
-    source = tmp_path / "lacking.c"
-    source.write_text("int undefined(void);\nint lacking(void) { return undefined(); }\n")
-    with pytest.raises(ConfigError, match="undefined"):
-        replace(FIRMWARE, root=tmp_path, parts=(".",)).compiled(tmp_path)
-
-
 def test_a_library_that_does_not_open_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "firmware.so"
     path.write_bytes(b"not a library")
@@ -171,18 +164,6 @@ def test_a_compiler_is_named_with_its_options(monkeypatch: pytest.MonkeyPatch) -
     found = FIRMWARE.compiler()
     monkeypatch.setenv("CC", f"{found[0]} -m64")
     assert FIRMWARE.compiler() == [found[0], "-m64"]
-
-
-def test_the_words_are_those_of_the_header() -> None:
-    header = (FIRMWARE.root / "host" / "lockstep.h").read_text()
-    inside = header[header.index("struct lockstep {") : header.index("};")]
-    names = [
-        name.strip()
-        for line in inside.splitlines()
-        if "int64_t" in line
-        for name in line.split("int64_t")[1].split(";")[0].split(",")
-    ]
-    assert [getattr(lockstep, name.upper()) for name in names] == list(range(lockstep.TRUE_COUNT))
 
 
 # ---------------------------------------------------------------------- many ticks are those ticks

@@ -18,7 +18,7 @@ from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.ends.channel import ScriptedLine
-from sim_backend.ends.link import BUFFER_BYTES, MemoryLink, open_link
+from sim_backend.ends.link import MemoryLink, open_link
 from tests.conformance.host import Host
 from tests.conformance.link import COMPILED, check_link, listen
 from tests.conformance.rigs import rotary_rig
@@ -69,20 +69,6 @@ def test_the_device_never_passes_a_sample_before_the_answer_to_it_is_delivered(s
             link.clock.sleep_until(link.clock.now_ns() + round(1.5 * TICK_S * 1e9))
 
 
-def test_a_host_that_sleeps_is_not_waited_for() -> None:
-    link = fresh()
-    host = Host(link)
-    host.begin(position_rate=RATE)
-    host.next_state()
-    before = link.device.sample_index
-    link.clock.sleep_until(link.clock.now_ns() + 10_000_000)
-    host.command(CURRENT)
-    assert link.device.sample_index == before + 20
-    assert [state.current_commanded for state in host.states] == [0]
-    assert host.next_state().current_commanded == 0  # the twenty of before
-    assert host.next_state().current_commanded == CURRENT
-
-
 def test_waiting_jumps_to_the_deadline_and_no_further() -> None:
     link = fresh()
     host = Host(link)
@@ -94,14 +80,6 @@ def test_waiting_jumps_to_the_deadline_and_no_further() -> None:
     assert link.read(0.4 * TICK_S) == b""
     assert link.read(0.4 * TICK_S) != b""
     assert link.clock.now_ns() == now_ns + 500_000
-
-
-def test_unread_buffer_is_bounded() -> None:
-    link = fresh()
-    Host(link).begin(position_rate=20_000)
-    link.elapse(0.1)
-    assert link.discarded > 0
-    assert len(link.read(0.0)) == BUFFER_BYTES
 
 
 # ---------------------------------------------------------------------- opening by URL

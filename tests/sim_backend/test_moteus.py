@@ -317,15 +317,6 @@ def test_frame_of_a_second_host_moves_the_drive_and_reaches_the_first_host() -> 
     assert drive.command == pytest.approx(0.03)
 
 
-def test_position_mode_of_another_host_holds_a_position() -> None:
-    drive = Moteus(drive_rig(initial_position=0.3), STILL)
-    drive.start()
-    there = drive.read(1)
-    drive.drive.happen("mode", 10)
-    drive.wait(0.02)
-    assert drive.command * there < 0.0  # towards position 0, by its own gains
-
-
 def test_drive_after_a_reboot_is_stopped_and_has_its_stored_settings() -> None:
     drive = Moteus(settings=STILL)
     drive.console("conf set servo.default_timeout_s 0.5")

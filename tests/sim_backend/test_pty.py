@@ -20,6 +20,7 @@ from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import SerialLink, open_link
 from sim_backend.ends import pty
+from sim_backend.ends.line import PENDING_BYTES, PseudoTerminal
 from tests.conformance.device import check_device
 from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
@@ -125,23 +126,22 @@ def test_samples_come_in_order_and_answers_act_one_tick_later_at_the_soonest(
     assert 20 in {state.current_commanded for state in states}
 
 
-def test_host_that_does_not_read_loses_whole_states_and_blocks_nothing(path: str, firmware: bool) -> None:
-    host = Host(open_port(path))
-    rate = 20_000 if firmware else 4_000  # which has more room for unread frames
-    host.begin(ramp_us=0, position_rate=rate)
-    indices = [host.next_state().sample_index]
-    end = time.monotonic() + WAIT_S
-    while not host.connection.statistics.lost:
-        assert time.monotonic() < end
-        # More STATEs of 51 bytes than port and kernel store, unless the process was stopped.
-        time.sleep(0.1)
-        seen = indices[-1]
-        while indices[-1] < seen + rate // 10:
-            indices += [host.states[-1].sample_index for _ in host.events(0.1)]
-    assert indices == sorted(set(indices))
-    assert host.connection.statistics.crc_errors == 0, "frames are dropped whole"
-    assert host.disarm(clear_fault=True).status == 0
-    host.link.close()
+def test_host_that_does_not_read_gets_the_oldest_frames_whole() -> None:
+    with PseudoTerminal() as line:
+        host = os.open(line.place, os.O_RDWR | os.O_NOCTTY)
+        for number in range(1000):
+            line.write_if_free(bytes([number % 256]) * 44)
+        assert len(line._pending) < 44
+        received = os.read(host, 1 << 16)
+        while line._pending or len(received) % 44:
+            line.write(b"")
+            received += os.read(host, 1 << 16)
+        for _ in range(1000):
+            line.write(bytes(44))
+        assert len(line._pending) <= PENDING_BYTES
+        os.close(host)
+    assert len(received) < 1000 * 44
+    assert received == b"".join(bytes([number % 256]) * 44 for number in range(len(received) // 44))
 
 
 def test_unread_frames_of_one_host_do_not_reach_the_next(path: str) -> None:
@@ -217,19 +217,6 @@ def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch
         assert later.sample_index - after.sample_index < 60_000
         host.disarm()
         host.link.close()
-
-
-def test_the_firmware_ticks_at_twenty_kilohertz_in_real_time() -> None:
-    need_compiler()
-    with served_rig(firmware=True, rate=20_000) as path:
-        host = Host(open_port(path))
-        host.identify()  # it shows itself now, a hundred times a second
-        first, began = host.next_state(), time.monotonic()
-        while (last := host.next_state()).sample_index < first.sample_index + 2_000:
-            assert time.monotonic() < began + WAIT_S
-        host.link.close()
-    assert last.device_time - first.device_time == 800 * (last.sample_index - first.sample_index)
-    assert (last.missed_ticks, last.fault) == (0, 0)
 
 
 def test_it_ends_by_itself_after_its_duration() -> None:

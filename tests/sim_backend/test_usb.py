@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection
-from rig.core.errors import ConfigError
 from sim_backend.ends import usb
 from sim_backend.ends.usb import HIGH_SPEED_PACKET, UsbPort, UsbShape
 from tests.conformance.rigs import rotary_rig
@@ -164,9 +163,3 @@ def test_a_rig_answers_through_the_pipes(pipe: Any) -> None:
     stop.set()
     rig.join(WAIT_S)
     assert not rig.is_alive()
-
-
-@pytest.mark.parametrize("rate", [10, 4_001])
-def test_a_rate_that_python_does_not_keep_is_refused(rate: int, pipe: Any) -> None:
-    with pytest.raises(ConfigError, match="outside 50 … 4000"):
-        usb.serve(rotary_rig(), pipe[0], rate=rate)
