@@ -1,11 +1,10 @@
 """Public names: declared once, in stubs, and imported at first use."""
 
 import doctest
-import inspect
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import pytest
 
@@ -53,21 +52,6 @@ def test_the_example_of_a_docstring_says_what_comes(name: str) -> None:
     finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
     (example,) = finder.find(getattr(rig, name), name, globs={name: getattr(rig, name)})
     assert runner.run(example).failed == 0
-
-
-def test_every_public_function_documents_its_parameters_results_and_errors() -> None:
-    """Except decorators and functions without arguments; a result type documents itself."""
-    found = {name: inspect.getdoc(value) or "" for name, value in vars(_loaded()).items()}
-    assert [name for name, text in found.items() if not text] == []
-    measures = ("impedance", "read_impedance", "impedance_map", "identify", "counts_case", "recording_case",
-                "compare_estimators", "tune_estimator", "lipschitz_of", "read_study", "analyse_study")  # fmt: skip
-    for name in measures:
-        assert "Parameters\n---" in found[name], name
-        assert "Raises\n---" in found[name], name
-
-
-def _loaded() -> SimpleNamespace:
-    return SimpleNamespace(**{name: getattr(rig, name) for name in rig.__all__ if name != "__version__"})
 
 
 def test_a_name_that_is_not_public_is_no_attribute() -> None:

@@ -123,15 +123,6 @@ def test_an_operator_that_cannot_do_the_trial_is_refused(changes: dict[str, Any]
     assert words in str(caught.value)
 
 
-def test_the_least_press_that_the_message_names_is_enough() -> None:
-    with pytest.raises(ConfigError) as caught:
-        held(operator__press=0.5)
-    least = float(str(caught.value).split("must be at least ")[1].split(" N")[0])
-    assert held(operator__press=1.01 * least)
-    with pytest.raises(ConfigError):
-        held(operator__press=0.98 * least)
-
-
 def test_rules_about_the_motors_push_do_not_bind_a_person() -> None:
     assert held(trial__effort=0.0).trial.effort == 0.0
     assert override(KOUL, {"trial.duration_s": 0.41}), "nor do a person's rules bind the motor"

@@ -20,7 +20,6 @@ from rig.realtime.mailbox import (
     EMPTY,
     FRESH,
     MAILBOX_BYTES,
-    MOST_BYTES,
     NUMBER,
     SET_FLOATS,
     Mailbox,
@@ -86,14 +85,6 @@ def test_floats_pass_bit_for_bit_within_the_readers_room(values: list[float], ro
     count = min(len(values), room)
     assert memory[1 : count + 1].tobytes() == np.array(values[:count], np.float64).tobytes()
     assert (memory[[0, *range(count + 1, room + 2)]] == -7.0).all()
-
-
-@given(st.binary(max_size=MOST_BYTES))
-def test_any_bytes_arrive_as_they_are(message: bytes) -> None:
-    box, into = Box(), np.zeros(MOST_BYTES, np.uint8)
-    Mailbox(box.address).post(message)
-    assert take(box.address, into) == 1
-    assert into.tobytes() == message.ljust(MOST_BYTES, b"\0")
 
 
 @pytest.mark.parametrize("values", [[float("nan")], [1.0, float("nan")], np.zeros(SET_FLOATS + 1)])

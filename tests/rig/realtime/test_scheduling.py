@@ -395,17 +395,13 @@ def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path: Pat
 @pytest.mark.parametrize(
     ("version", "extra", "kind"),
     [
-        ("#1 SMP PREEMPT_RT Debian", {}, "PREEMPT_RT"),
         ("#1 SMP", {"sys__kernel__realtime": "1"}, "PREEMPT_RT"),
-        ("#1 SMP PREEMPT_DYNAMIC", {}, "PREEMPT_DYNAMIC"),
         (
             "#1 SMP PREEMPT_DYNAMIC",
             {"sys__kernel__debug__sched__preempt": "none voluntary (full)"},
             "PREEMPT_DYNAMIC (full)",
         ),
         ("#1 SMP PREEMPT_DYNAMIC", {"proc__cmdline": "quiet preempt=none"}, "PREEMPT_DYNAMIC (none)"),
-        ("#1 SMP PREEMPT", {}, "PREEMPT"),
-        ("#1 SMP", {}, "none"),
     ],
 )
 def test_kinds_of_preemption(tmp_path: Path, version: str, extra: Any, kind: str) -> None:

@@ -41,15 +41,6 @@ def test_bounds_are_order_statistics_by_the_binomial(number: int, share: float, 
     assert isinstance(found.value, int)
 
 
-def test_the_bounds_of_a_million_values_hold_the_quantile_between_them() -> None:
-    found = quantile(np.arange(1, 3_000_001), 0.999)
-    below = stats.binom(3_000_000, 0.999)
-    assert found.low is not None
-    assert found.high is not None
-    assert below.cdf(found.low - 1) <= 0.05 < below.cdf(found.low)
-    assert below.cdf(found.high - 2) < 0.95 <= below.cdf(found.high - 1)
-
-
 def test_a_bound_of_p999_needs_2995_values() -> None:
     needed = values_needed(0.999)
     assert needed == 2995

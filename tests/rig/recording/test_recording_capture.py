@@ -292,16 +292,6 @@ def test_time_comes_from_the_host_where_the_device_has_no_clock(path: Path) -> N
     assert read_bytes(path, capture_bytes(rows)).time_s.tolist() == [0.0, 1.0, 2.0]
 
 
-def test_pandas_gets_columns_and_units(path: Path) -> None:
-    rows = example_rows(6)
-    frame = read_bytes(path, capture_bytes(rows)).to_pandas()
-    assert list(frame.columns) == [column.name for column in COLUMNS]
-    assert frame["count"].dtype == np.int64
-    assert frame["current_measured"].to_numpy().tobytes() == rows["current_measured"].tobytes()
-    assert frame.attrs["units"]["position"] == "rad"
-    assert frame.attrs["header"]["seed"] == 7
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is locked on Linux alone")
 def test_a_capture_is_read_while_the_memory_of_the_process_is_locked(path: Path) -> None:
     """Memory is locked while another thread runs in real time, and locked pages cannot be dropped."""

@@ -5,10 +5,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.sample import COLUMNS, TRUTH_COLUMNS
-from rig.recording.canonical import canonical_json, lossless
+from rig.recording.canonical import canonical_json
 from rig.recording.header import VOLATILE, git_revision, make_schema, repeatable
 from tests.conformance.recording import example_header
 
@@ -56,28 +53,6 @@ def test_nan_is_spelled_as_a_string() -> None:
     assert np.isnan(float(json.loads(text)["state"][0]))
 
 
-def test_python_objects_become_plain() -> None:
-    @dataclass
-    class Wall:
-        stiffness: float
-        side: IntEnum
-        file: Path
-
-    side = IntEnum("side", {"RIGHT": 1})
-    value = lossless(
-        {"wall": Wall(3.0, side.RIGHT, Path("a/b")), "pair": (np.int64(1), np.float32(0.5), np.bool_(True))}
-    )
-    assert value == {"wall": {"stiffness": 3.0, "side": 1, "file": "a/b"}, "pair": [1, 0.5, True]}
-    assert type(value["pair"][0]) is int
-    assert type(value["pair"][2]) is bool
-
-
-@pytest.mark.parametrize("value", [object(), {None: 2}, {"a": {3}}, b"bytes", 1j, int])
-def test_value_without_a_json_form_is_refused(value: Any) -> None:
-    with pytest.raises(TypeError, match="JSON"):
-        canonical_json(value)
-
-
 @pytest.mark.parametrize(("motion", "unit"), [("rotary", "N·m"), ("linear", "N")])
 def test_units_follow_the_motion(motion: Any, unit: str) -> None:
     units = {
@@ -110,29 +85,6 @@ def git(place: Path, *arguments: str) -> str:
     identity = ["-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false"]
     command = [GIT, "-C", str(place), *identity, *arguments]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-
-
-def test_git_revision_of_a_checkout_is_looked_at_each_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seconds = [0.0]
-    monkeypatch.setattr("rig.recording.header.time", SimpleNamespace(monotonic=lambda: seconds[0]))
-    assert git_revision(tmp_path) is None
-    assert git_revision(tmp_path / "absent") is None
-
-    git(tmp_path, "init", "-q")
-    seconds[0] += 1.0
-    assert git_revision(tmp_path) is None
-    (tmp_path / "a").write_text("1")
-    git(tmp_path, "add", "a")
-    git(tmp_path, "commit", "-qm", "first")
-    revision = git(tmp_path, "rev-parse", "HEAD")
-    seconds[0] += 1.0
-    assert git_revision(tmp_path) == {"revision": revision, "dirty": False}
-    (tmp_path / "a").write_text("2")
-    assert git_revision(tmp_path) == {"revision": revision, "dirty": False}  # the same second
-    seconds[0] += 1.0
-    assert git_revision(tmp_path) == {"revision": revision, "dirty": True}
 
 
 # What a repository may name a program in; each would run in `git describe --dirty`, `git status`, or a fetch of

@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -27,8 +26,8 @@ from rig.session.terminal import _words as words
 from rig.session.terminal._conversation import Answer, Conversation, StopPressed
 from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._keyboard import Keyboard
-from rig.session.terminal._live import LiveLoop, Snapshot, snapshot_of
-from rig.session.terminal._messages import MessageReader, line_of
+from rig.session.terminal._live import Snapshot, snapshot_of
+from rig.session.terminal._messages import line_of
 from rig.session.terminal._plain import PlainLines
 from rig.session.terminal._pointer import Pointer
 
@@ -462,20 +461,6 @@ def test_a_law_on_the_device_has_no_round_trip() -> None:
     assert found.round_trip_ns is None
 
 
-def test_a_view_of_a_loop_never_reads_its_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
-    ring = ring_with(100)
-    shared = Ring.allocate(8192, info={"experiment": {"wall": {"stiffness": 30}}}, shared=True)
-    shared.rows[:] = ring.rows
-    shared.words[control_words.HEAD] = 100
-    monkeypatch.setattr(Ring, "info_and_word", lambda self: pytest.fail("the info was read"))
-    live = LiveLoop(os.getpid())
-    assert live.look() is not None
-    shared.words[control_words.LOOP_DONE] = 1
-    assert live.look() is None
-    live.close()
-    shared.close()
-
-
 # The hand
 
 
@@ -502,22 +487,6 @@ def test_the_pointer_reaches_from_behind_the_start_into_the_wall(scale: dict[str
 
 
 # Messages
-
-
-@settings(max_examples=40)
-@given(
-    st.lists(
-        st.sampled_from(
-            [line_of("alive"), line_of("reply", value="é\n"), b"x\n", b"[1]\n", b"\xff\n", b"{}\n"]
-        )
-    )
-)
-def test_only_messages_come_through(parts: list[bytes]) -> None:
-    data = b"".join(parts)
-    lines = MessageReader()
-    found = [message for n in range(0, len(data), 5) for message in lines.feed(data[n : n + 5])]
-    expected = [part for part in parts if re.search(rb"alive|reply", part)]
-    assert [line_of(**message) for message in found] == expected
 
 
 def test_stop_is_in_the_shared_control_words_before_the_session_receives_it(

@@ -274,8 +274,3 @@ def test_a_number_that_json_lacks_is_null_in_the_file_and_in_the_event(
     with SessionLog(tmp_path / "log") as log:
         assert log.append("trial", felt=value).content == {"felt": kept}
     assert json.loads((tmp_path / "log").read_text()[9:], parse_constant=pytest.fail)["felt"] == kept
-
-
-def test_a_missing_log_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"session log .* not found"):
-        read(tmp_path / "none")

@@ -73,19 +73,13 @@ def test_names_are_made_one_spelling_where_they_enter() -> None:
 
 def test_a_question_its_choices_and_what_is_fitted_are_names_too() -> None:
     question = [{"name": " hand ", "text": "Which?", "kind": "choice", "choices": [f"left{NBSP}one", NFD]}]
-    protocol = protocol_of(question=question)
-    (item,) = protocol.question
+    (item,) = protocol_of(question=question).question
     assert (item.name, item.choices) == ("hand", ("left one", "Größe"))
-    assert parse_answer(describe_item(item), "left  one") == "left one"
-    assert parse_answer(describe_item(item), NFD) == "Größe"
-    assert (
-        parse_answer(describe_item(Item(name="x", text="?", kind="text")), f" as{NBSP}typed ")
-        == f"as{NBSP}typed"
-    )
-    fits = [
-        {"name": name, "scheme": "dual:20k/2k", "fit": fit}
-        for name, fit in (("a", "damper"), ("b", "damper "))
-    ]
+    for typed, choice in (("left  one", "left one"), (NFD, "Größe")):
+        assert parse_answer(describe_item(item), typed) == choice
+    text = describe_item(Item(name="x", text="?", kind="text"))
+    assert parse_answer(text, f" as{NBSP}typed ") == f"as{NBSP}typed"
+    fits = [{"name": name, "fit": fit} for name, fit in (("a", "damper"), ("b", "damper "))]
     assert len({one.fit for one in protocol_of(condition=fits, order={"blocks": "condition"}).condition}) == 1
 
 

@@ -112,19 +112,9 @@ def test_a_hopeless_session_is_refused_unless_the_operator_accepts_it() -> None:
 
 def test_the_measured_loss_is_in_the_log_and_its_line() -> None:
     bad = pace_of(link_of(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMITS)
-    opened = Event(
-        1,
-        0.0,
-        "opened",
-        {
-            "pace": {**plain(bad), "said": sentence(bad, simulated=True)},
-            "place": {"url": None, "realtime": True},
-        },
-    )
-    assert (
-        "of the samples at 1000 Hz, or is late with them, for up to 4 ms at a time; run at 125 Hz"
-        in line_of_event(opened)
-    )
+    pace = {**plain(bad), "said": sentence(bad, simulated=True)}
+    opened = Event(1, 0.0, "opened", {"pace": pace, "place": {"url": None, "realtime": True}})
+    assert sentence(bad, simulated=True).partition(";")[0] in line_of_event(opened)
     assert "nearly every trial will be invalid, which the operator accepted" in line_of_event(opened)
     assert resume_command(Path("P01"), [opened]).endswith("--lossy-anyway")
     assert line_of_event(Event(1, 0.0, "opened", {"pace": None})) == "opened"
