@@ -1,4 +1,4 @@
-"""A temporary directory is removed with its process; after a kill the next start removes it."""
+"""A temporary directory is removed with its process, after a kill by the next start; file locks show who lives."""
 
 import os
 import signal
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from rig.core import scratch as module
+from rig.core.locks import is_locked, lock, unlock
 from rig.core.scratch import OWNER, scratch
 
 HOLD = """
@@ -53,3 +54,17 @@ def test_only_the_directory_of_a_killed_process_is_removed(
         for holder in holders:
             holder.kill()
             holder.communicate()
+
+
+def test_a_lock_has_one_holder_until_release_or_close(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    with open(path, "ab") as first, open(path, "ab") as second:
+        assert not is_locked(path)
+        assert lock(first.fileno())
+        assert is_locked(path)
+        assert not lock(second.fileno())
+        unlock(first.fileno())
+        assert not is_locked(path)
+        assert lock(second.fileno())
+    assert not is_locked(path)
+    assert not is_locked(tmp_path / "none")

@@ -1,4 +1,4 @@
-"""System calls of the compiled loop on real descriptors: pipes, sockets and pseudo-terminals."""
+"""System calls of the compiled loop on real descriptors (pipes, sockets, pseudo-terminals), and its clocks."""
 
 import contextlib
 import errno
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.realtime.clock import MonotonicClock, VirtualClock
 from rig.realtime.system import descriptor_read, descriptor_wait, descriptor_write, monotonic_now, sleep_until
 
 MILLISECOND = 1_000_000
@@ -184,3 +185,40 @@ def test_a_signal_shortens_neither_a_sleep_nor_a_wait() -> None:
         os.close(ours)
         os.close(theirs)
     assert caught
+
+
+def test_virtual_time_moves_only_by_a_sleep_and_never_backwards() -> None:
+    clock = VirtualClock(5)
+    assert clock.now_ns() == clock.now_ns() == 5
+    clock.sleep_until(60_000_000_000)  # a minute costs nothing
+    clock.sleep_until(40)
+    assert clock.now_ns() == 60_000_000_000
+
+
+def test_compiled_code_reads_the_same_virtual_time() -> None:
+    clock = VirtualClock(7)
+    assert clock.now_plug(clock.handle) == 7
+    clock.sleep_until(1 << 40)
+    assert clock.now_plug(clock.handle) == clock.now_ns() == 1 << 40
+
+
+def test_two_virtual_clocks_do_not_share_their_time() -> None:
+    one, two = VirtualClock(), VirtualClock()
+    one.sleep_until(9)
+    assert two.now_plug(two.handle) == 0
+
+
+def test_monotonic_time_never_wakes_before_the_deadline() -> None:
+    clock = MonotonicClock()
+    deadline = clock.now_ns() + 3_000_000
+    clock.sleep_until(deadline)
+    assert clock.now_ns() >= deadline
+
+
+def test_compiled_and_python_read_one_and_the_same_monotonic_clock() -> None:
+    """Stamps of both are recorded together and compared, so they must interleave."""
+    clock = MonotonicClock()
+    stamps = []
+    for _ in range(50):
+        stamps += [time.monotonic_ns(), clock.now_plug(clock.handle), clock.now_ns()]
+    assert stamps == sorted(stamps)

@@ -1,17 +1,24 @@
-"""The memory of a running loop on systems other than Linux, as files: found, stopped, written by others, removed."""
+"""Systems other than Linux: the memory of a running loop as files, the C library by Python functions, the cache."""
 
+import ctypes
+import errno
 import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from rig.core.errors import ConfigError, RigError
 from rig.realtime import _named_memory as named_memory
+from rig.realtime import _stand_ins as stand_ins
+from rig.realtime import _user_cache as user_cache
 from rig.realtime import memories, ring, running
 from rig.realtime.control_words import STOP
 from rig.realtime.ring import Ring
+from rig.realtime.system import EAGAIN
 from tests.conformance.running_loop import loop_process
 
 WAIT_S = 30.0
@@ -79,3 +86,77 @@ def test_two_starts_at_once_wait_for_each_other_briefly(
         begun = time.monotonic()
         Ring.allocate(10, shared=True).close()
         assert time.monotonic() - begun >= 0.05
+
+
+HOME = os.path.expanduser("~")
+
+
+@pytest.mark.parametrize(
+    ("platform", "environment", "place"),
+    [
+        ("win32", {"LOCALAPPDATA": "/data/local"}, "/data/local"),
+        ("win32", {}, f"{HOME}/AppData/Local"),
+        ("darwin", {"LOCALAPPDATA": "/data/local", "XDG_CACHE_HOME": "/cache"}, f"{HOME}/Library/Caches"),
+        ("linux", {"XDG_CACHE_HOME": "/cache"}, "/cache"),
+        ("linux", {}, f"{HOME}/.cache"),
+    ],
+)
+def test_each_system_has_its_place(
+    platform: str, environment: dict[str, str], place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("LOCALAPPDATA", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(user_cache, "sys", SimpleNamespace(platform=platform))
+    assert user_cache.user_cache() == place
+
+
+BILLION = 1_000_000_000
+
+
+def last_error() -> int:
+    return ctypes.c_int32.from_address(stand_ins._errno_location()).value
+
+
+def test_written_bytes_arrive_and_a_failure_sets_errno(tmp_path: Path) -> None:
+    data = np.frombuffer(b"one\ntwo\r\n", np.uint8).copy()
+    with open(tmp_path / "file", "wb") as file:
+        assert stand_ins._write(file.fileno(), data.ctypes.data, len(data)) == len(data)
+        assert stand_ins._sync(file.fileno()) == 0
+        closed = file.fileno()
+    assert (tmp_path / "file").read_bytes() == data.tobytes()
+    assert stand_ins._write(-1, data.ctypes.data, 1) == -1
+    assert last_error() == errno.EBADF
+    assert stand_ins._sync(closed) == -1
+    with open("/dev/full", "wb") as full:
+        assert stand_ins._write(full.fileno(), data.ctypes.data, 1) == -1
+    assert last_error() == errno.ENOSPC
+
+
+def test_full_line_reports_the_errno_of_linux(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int, data: bytes) -> int:
+        raise BlockingIOError(errno.EAGAIN, "full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(errno, "EAGAIN", 35)  # of macOS
+        patched.setattr(os, "write", full)
+        assert stand_ins._write(1, 0, 0) == -1
+    assert last_error() == EAGAIN == 11
+
+
+def test_time_is_that_of_the_links_clock_and_a_sleep_ends_at_its_deadline() -> None:
+    timespec = np.zeros(2, np.int64)
+    before = time.perf_counter_ns()
+    assert stand_ins._now(1, timespec.ctypes.data) == 0
+    now = int(timespec[0] * BILLION + timespec[1])
+    assert before <= now <= time.perf_counter_ns()
+    timespec[:] = divmod(now + 3_000_000, BILLION)
+    assert stand_ins._sleep(1, 1, timespec.ctypes.data, 0) == 0
+    assert time.perf_counter_ns() >= now + 3_000_000
+
+
+def test_every_name_of_the_compiled_loop_has_one() -> None:
+    from rig.realtime import system  # noqa: PLC0415
+
+    assert set(system._NAMES) == set(stand_ins._CALLS)
