@@ -1,7 +1,7 @@
-"""A session with a console, operated in a terminal, on a simulated rig, in real and in virtual time.
+"""A session with a console, operated in a terminal, on a simulated rig in real time.
 
-On a busy machine hits in real time end early: the session then shows a question, and continues. If every hit ends so,
-the test fails with this reason.
+On a busy machine hits end early: the session then shows a question, and continues. If every hit ends so, the test
+fails with this reason.
 """
 
 import os
@@ -10,8 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +17,12 @@ import numpy as np
 import pytest
 
 from rig.core.sample import Phase
-from rig.experiments.trials import _trial as running_trial
 from rig.realtime import running
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
-from rig.session.engine._desk import Desk
-from rig.session.engine._hits import DeviceRunner
-from rig.session.engine._log import Event, read
-from rig.session.engine._run import DeskFor, SessionResult, run_session
-from rig.session.terminal._asking import SILENCE_S
+from rig.session.engine._log import read
 from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._live import snapshot_of
-from rig.session.terminal.desk import ConsoleDesk, at_console
 from tests.conformance.started import is_alive
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
 
@@ -114,35 +106,25 @@ READ_S = 0.5  # within which the console has read a key
 
 
 class Operator:
-    """The operator of a session in virtual time, which runs in a thread of this process."""
+    """The operator of ``rig session run``, a process of its own."""
 
-    def __init__(
-        self, terminal: Terminal, directory: Path, session: Callable[[DeskFor], SessionResult]
-    ) -> None:
-        self.terminal, self.directory = terminal, directory / "study" / "P01"
+    def __init__(self, terminal: Terminal, directory: Path, *words: object) -> None:
+        self.terminal, self.directory = terminal, directory
         self._pressed_s: dict[str, float] = {}
-        self._begin(session)
-
-    def _begin(self, session: Any) -> None:
-        self._thread, self.pid = ThreadPoolExecutor(1), os.getpid()
-        self._result = self._thread.submit(session, self._sit_down)
-
-    def _sit_down(self, *about: Any) -> Desk:
-        self.desk = at_console(place=Path(self.terminal.path))(*about)
-        return self.desk
+        self._program: Program = terminal.run(sys.executable, "-c", PROGRAM, *map(str, words), cwd=ROOT)
+        self.pid = self._program.pid
 
     @property
     def over(self) -> bool:
-        return self._result.done()
+        return not is_alive(self.pid)
 
-    def result(self) -> SessionResult:
-        """Wait for the session's end and return its result."""
-        return self._result.result(PATIENCE_S)
+    def result(self) -> tuple[int, list[str]]:
+        """Wait for the program's end; return its exit code and the lines of its standard error."""
+        code, err = self._program.wait()
+        return code, err.splitlines()
 
     def close(self) -> None:
-        """Close the terminal, which ends the session, and wait for its thread."""
-        self.terminal.close()
-        self._thread.shutdown()
+        self._program.end()
 
     def sees(self, *texts: str) -> str:
         """Wait until one of the texts was printed since the last key, and return it; "" if the program has ended."""
@@ -161,77 +143,19 @@ class Operator:
         self.terminal.type(keys)
         self._pressed_s |= dict.fromkeys(keys, time.monotonic())
 
-    @property
-    def events(self) -> list[Event]:
-        return read(self.directory / "session.log")
-
     def of_kind(self, kind: str) -> list[dict[str, Any]]:
-        return [dict(event.content) for event in self.events if event.kind == kind]
-
-
-class OperatorOfProgram(Operator):
-    """The operator of ``rig session run`` as a process."""
-
-    rested = 0  # hits after which the device had no current
-
-    def _begin(self, session: Any) -> None:
-        self._program: Program = self.terminal.run(sys.executable, "-c", PROGRAM, *session, cwd=ROOT)
-        self.pid = self._program.pid
-
-    @property
-    def over(self) -> bool:
-        return not is_alive(self.pid)
-
-    def result(self) -> Any:
-        """Return exit code and standard error of the program; the device was at rest after each hit."""
-        code, err = self._program.wait()
-        lines = err.splitlines()
-        messages = [line for line in lines if line != AT_REST]
-        self.rested += len(lines) - len(messages)
-        return code, "\n".join(messages)
-
-    def close(self) -> None:
-        self._program.end()
-
-
-Start = Callable[..., Operator]
+        events = read(self.directory / "session.log")
+        return [dict(event.content) for event in events if event.kind == kind]
 
 
 @pytest.fixture
-def start(terminal: Terminal, tmp_path: Path) -> Iterator[Start]:
+def operator(terminal: Terminal, tmp_path: Path) -> Iterator[Operator]:
+    """Start a session whose hits last until they are stopped; keys move the hand, the script would be too slow."""
     path, study = tmp_path / "console.toml", tmp_path / "study"
-    started: list[Operator] = []
-
-    def begin(what: str, duration_s: float = 0.7) -> Operator:
-        # In real time the keys move the hand, and the one of the script would be far too slow.
-        reach_s = 60.0 if what == "real" else 0.3
-        path.write_text(PROTOCOL.format(duration_s=duration_s, reach_s=reach_s, rate=RATE))
-        if what == "real":
-            words = (str(path), "P01", "--study", str(study))
-            started.append(OperatorOfProgram(terminal, tmp_path, words))
-            return started[-1]
-        runner = DeviceRunner(url="sim://?firmware=0")  # its hits last long enough to act in them
-        session = partial(run_session, path, "P01", study=study, runner=runner)
-        started.append(Operator(terminal, tmp_path, session))
-        return started[-1]
-
-    yield begin
-    for operator in started:
-        operator.close()
-
-
-@pytest.fixture
-def currents(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """The currents of the simulated devices in this process, each at the end of its run."""
-    conclude, found = running_trial._conclude, []
-
-    def witness(device: Any, *rest: Any) -> Any:
-        error = conclude(device, *rest)
-        found.append(device.link.device.current)
-        return error
-
-    monkeypatch.setattr(running_trial, "_conclude", witness)
-    return found
+    path.write_text(PROTOCOL.format(duration_s=600.0, reach_s=60.0, rate=RATE))
+    one = Operator(terminal, study / "P01", path, "P01", "--study", study)
+    yield one
+    one.close()
 
 
 def child_of(pid: int) -> int:
@@ -266,7 +190,7 @@ def is_pressing(pid: int) -> bool:
     return live is not None and live.phase == "trial" and live.penetration > 0.0 and live.effort != 0.0
 
 
-def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
+def begin_to_press(operator: Operator) -> None:
     """Start hits until a hand presses against the wall."""
     engine, terminal = operator.pid, operator.terminal
     for _ in range(HITS):
@@ -276,8 +200,6 @@ def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
         if asked != "ready?":
             continue
         assert operator.sees("state: free space", "state: go", "state: hold", "[g] go"), operator.result()
-        if not by_keys:
-            return
         terminal.type(REACH)
         eventually(
             lambda: is_pressing(engine) or "[g] go" in terminal.fresh or operator.over, "a hand on the wall"
@@ -290,13 +212,11 @@ def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
 
 
 @pytest.mark.quiet
-def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start) -> None:
+def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, operator: Operator) -> None:
     """`rig stop` ends one hit and ^C the next, long before the console's timeout would."""
-    operator = start("real", duration_s=600.0)
-    assert isinstance(operator, OperatorOfProgram)
     engine = operator.pid
     for _ in range(HITS):
-        begin_to_press(operator, by_keys=True)
+        begin_to_press(operator)
         console, before = child_of(engine), len(operator.of_kind("trial"))
         os.kill(console, signal.SIGSTOP)
         running.stop(engine, patience_s=PATIENCE_S)
@@ -313,11 +233,12 @@ def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start)
     led = rows[rows["phase"] == Phase.TRIAL]
     assert np.argmax(led["penetration"] > 0.0) < BY_KEYS_S * RATE
 
-    begin_to_press(operator, by_keys=True)
+    begin_to_press(operator)
     before = len(operator.of_kind("trial"))
     os.kill(child_of(engine), signal.SIGSTOP)
     terminal.type("\x03")
     code, err = operator.result()
+    assert err.count(AT_REST) >= 2
     assert terminal.attributes_are_back()
     assert operator.of_kind("stopped")
     trials = operator.of_kind("trial")
@@ -325,46 +246,13 @@ def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start)
     assert trials[-1]["ended"] == "stopped"
     assert code == 130, err
     assert check_stopped(operator, trials[-1]) == "stopped by SIGINT; the effort is zero"
-    assert operator.rested >= 2
-
-
-@pytest.mark.quiet
-def test_space_stops_a_hit_and_so_does_a_console_that_says_nothing(
-    terminal: Terminal, start: Start, currents: list[float]
-) -> None:
-    operator = start("run", duration_s=600.0)
-    begin_to_press(operator, by_keys=False)
-    terminal.type(" ")
-    terminal.wait("hit ended early: stopped at the console")
-    first = operator.of_kind("trial")[-1]
-    assert "stopped at the console" in check_stopped(operator, first)
-    begin_to_press(operator, by_keys=False)
-    console = child_of(operator.pid)
-    os.kill(console, signal.SIGSTOP)
-    assert isinstance(operator.desk, ConsoleDesk)
-    assert operator.desk._silence_s == SILENCE_S
-    operator.desk._silence_s = 0.2  # until then a loop in virtual time computes for nothing
-    eventually(lambda: len(operator.of_kind("trial")) == 2, "the trial in the log")
-    os.kill(console, signal.SIGCONT)
-    leave(operator)
-    assert currents == [0.0] * 2
-    second = operator.of_kind("trial")[-1]
-    assert "no message from the console for 0.2 s during a hit" in check_stopped(operator, second)
-
-
-def leave(operator: Operator) -> None:
-    assert operator.sees("hit ended early:", "[1] stable")
-    operator.terminal.type("a")
-    operator.terminal.wait("leave the session")
-    operator.terminal.type("y")
-    assert operator.result().stopped == "the operator left"
 
 
 def check_stopped(operator: Operator, trial: dict[str, Any]) -> str:
     """Require a complete, hashed recording with the stop as its reason and the counted losses; return the reason.
 
     Its last row is the last sample; the loop's STOP after it refers to no sample. The device itself reports that no
-    current flows then (`PROGRAM`, `Operator.rested`).
+    current flows then (`PROGRAM`).
     """
     recording = open_recording(operator.directory / trial["recording"])
     assert recording.complete
