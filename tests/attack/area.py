@@ -8,16 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol
 
-NAMESPACES = [
-    "unshare",
-    "--mount",
-    "--pid",
-    "--fork",
-    "--mount-proc",
-    "--kill-child=KILL",
-    "--propagation",
-    "private",
-]
+NAMESPACES = "unshare --mount --pid --fork --mount-proc --kill-child=KILL --propagation private"
 
 
 class Finding(AssertionError):  # noqa: N818  (a test calls it so)
@@ -68,7 +59,8 @@ def isolation() -> tuple[str, ...]:
     In them a `rig stop` finds no other loop, a full disk belongs to it alone, and all dies with the first.
     """
     for user in ((), ("--user", "--map-root-user")):
-        command = (NAMESPACES[0], *user, *NAMESPACES[1:])
+        program, *options = NAMESPACES.split()
+        command = (program, *user, *options)
         try:
             done = subprocess.run([*command, "true"], capture_output=True, timeout=10.0, check=False)
         except OSError:

@@ -15,18 +15,7 @@ from tests.platforms.emulated import emulate
 
 SHORT = ("--set", "trial.duration_s=0.6", "--no-plot")
 SLOW = ("--rate", "4k/1k")  # the readable device, which runs where no compiler is, needs 0.1 ms for a tick
-MAP = [
-    "--scheme",
-    "dual:20k/2k",
-    "--search",
-    "bisection",
-    "--ratio",
-    "2",
-    "-B0.3",
-    "--offsets",
-    "0.1",
-    "--no-plot",
-]
+MAP = "--scheme dual:20k/2k --search bisection --ratio 2 -B0.3 --offsets 0.1 --no-plot"
 ON_THE_BOARD = ("--rig", "koul-rigid", "--loop", "device", "--rate", "5k/500", "-K60", "-B0.05", *SHORT)
 IN_TIME = ("--set", "controller.supervise_lifetime_s=0.1", "--verified")
 A_PERSON = (
@@ -68,7 +57,7 @@ def main(platform: str, url: str = "") -> int:
         return 1 if wrong else 0
     run("hit", *SHORT, *SLOW)
     if platform != "darwin":
-        run("zwidth", *MAP)
+        run("zwidth", *MAP.split())
     run("session", "new", "study.toml")
     study = Path("study.toml")
     study.write_text(study.read_text().replace("hits = 30", "hits = 3"))

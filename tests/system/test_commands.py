@@ -39,30 +39,14 @@ WRITES_ONCE = ("experiment new", "session new", "session export")  # and refuse 
 
 @dataclass(frozen=True)
 class Row:
-    """One command with a successful call and calls that it must reject.
+    """One command with a successful call and calls that it must reject."""
 
-    Attributes
-    ----------
-    name
-        Words of the command, such as ``session new``.
-    good
-        Options of a successful run in the directory `made`; or the test that runs the command elsewhere.
-    keys
-        Keys of the JSON of that run, in any order; of a list, the keys of its first item.
-    word
-        A word that the text output contains.
-    refused
-        Calls that are rejected: options, exit code, and words of the message.
-    files
-        Pattern of the files that a successful run writes.
-    """
-
-    name: str
-    good: str
-    keys: str
-    word: str
-    refused: tuple[tuple[str, int, str], ...]
-    files: str = ""
+    name: str  # words of the command, such as "session new"
+    good: str  # options of a successful run in the directory `made`; or the test that runs the command elsewhere
+    keys: str  # of the JSON of that run, in any order; of a list, those of its first item
+    word: str  # that the text output contains
+    refused: tuple[tuple[str, int, str], ...]  # options, exit code, and words of the message
+    files: str = ""  # pattern of those that a successful run writes
 
 
 ROWS = (

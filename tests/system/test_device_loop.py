@@ -122,18 +122,6 @@ def test_an_impedance_excited_by_the_device_is_that_of_the_host(tmp_path: Path) 
     assert replay(recording).exact
 
 
-def test_commands_name_the_place_of_the_law(run: Any, tmp_path: Path) -> None:
-    need_compiler()
-    sets = [f"--set={key}={value}" for key, value in SHORT.items()]
-    code, out, _ = run("hit", EXAMPLE, *sets, "--no-plot", "--json", "-o", tmp_path)
-    assert code == 0
-    (found,) = json.loads(out)["hits"]
-    assert (found["loop"], found["arithmetic"]) == ("device", "fixed")
-    _, shown, _ = run("show", found["recording"])
-    assert "the device, in integers" in shown
-    assert "currents differ" in shown
-
-
 def test_a_map_of_a_device_is_hit_by_its_own_law(run: Any, tmp_path: Path) -> None:
     need_compiler()
     sets = [f"--set={key}={value}" for key, value in SHORT.items()]
