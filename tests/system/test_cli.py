@@ -202,15 +202,6 @@ def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recordi
     assert recording.rows["current_sent"][-1] is not None
 
 
-def test_a_grip_brings_its_numbers_and_the_limits_for_people(run: Any) -> None:
-    code, out, _ = run("hit", "--operator", "firm", "--no-plot")
-    assert code == 0
-    assert (
-        "in effect: rig.limits.effort = 0.286 instead of 1.3, rig.limits.human = True instead of False\n"
-        in out
-    )
-
-
 # ---------------------------------------------------------------------- output that cannot be written
 
 

@@ -132,22 +132,6 @@ def test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest(name: st
     assert name != "a pulled plug" or trial.recording.trailer["reason"] == "link_closed"
 
 
-@pytest.mark.exhaustive(
-    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
-)
-def test_a_device_that_stands_still_is_a_lost_link_and_ramps_when_it_runs_again(bench: Bench) -> None:
-    device, acted = bench.start(), []
-
-    def strike(ticks: Any, phase: Any) -> None:
-        if ticks > bench.early and not acted:
-            acted.append(ticks)
-            device.pause()
-
-    trial = bench.run(device, progress=strike)
-    device.resume()
-    trial.check(LinkLostError, replays=False)
-
-
 @on_both
 @pytest.mark.parametrize(
     "number", first_by_default([signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGSTOP])

@@ -1,7 +1,6 @@
 """Trials that end early at a limit of oscillations or energy, over a link and simulated directly; free space first."""
 
 import re
-from typing import Any
 
 import pytest
 
@@ -29,28 +28,19 @@ PLACED = override(
 VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
 
 
-@pytest.mark.parametrize(
-    ("limit", "flag", "reason", "text"),
-    [
-        (
-            {"rig.limits.oscillations": 10},
-            RowFlag.VIOLENT,
-            "violent",
-            "oscillated 10 times in succession .* each within 0.02 s",
-        ),
-        (
-            {"rig.limits.energy": 0.02},
-            RowFlag.ENERGY,
-            "energy",
-            r"gave the handle 0\.0\d+ J, more than rig\.limits\.energy = 0\.02 J",
-        ),
-    ],
-)
-def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(
-    limit: Any, flag: Any, reason: str, text: str, rig_hit: Hits
-) -> None:
-    experiment = override(PLACED, {**VIOLENT, **limit})
-    hit = rig_hit(experiment, may_end=True)
+WATCHES = {
+    "violent": ("oscillations", 10, RowFlag.VIOLENT, "oscillated 10 times in succession .* each within 0.02 s"),
+    "energy": ("energy", 0.02, RowFlag.ENERGY, r"gave the handle 0\.0\d+ J, more than rig\.limits\.energy = 0\.02 J"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("reason", WATCHES)
+def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(reason: str, rig_hit: Hits) -> None:
+    name, value, flag, text = WATCHES[reason]
+    experiment = override(PLACED, {**VIOLENT, f"rig.limits.{name}": value})
+    simulator = HitSimulator(experiment)
+    placed = override(experiment, {"rig.simulation.initial_position": simulator.start})
+    hit, watched = rig_hit(placed, may_end=True), simulator.hit(1200.0, 0.5)
     rows, trailer = hit.recording.rows, hit.recording.trailer or {}
     assert trailer["reason"] == reason
     assert isinstance(hit.error, GuardError)
@@ -58,24 +48,16 @@ def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(
     assert rows["flags"][-1] & flag
     assert not (rows["flags"][:-1] & (RowFlag.VIOLENT | RowFlag.ENERGY)).any()
     assert (rows["phase"][-1], rows["current_sent"][-1], rows["effort_sent"][-1]) == (Phase.DONE, 0, 0.0)
-    assert hit.verdict.kind is Kind.UNSTABLE
-    assert trailer["watched"]["oscillations" if reason == "violent" else "energy"] > 0.0
+    assert trailer["watched"][name] > 0.0
     assert replay(hit.recording).exact
-    watched = HitSimulator(experiment).hit(1200.0, 0.5)
-    assert watched.true.kind is Kind.UNSTABLE
+    assert hit.verdict.kind is watched.true.kind is Kind.UNSTABLE
+    assert watched.ticks == len(rows), "without bytes it ends in the same tick"
     assert watched.true.thrown_out
     assert watched.true.passes("any") is False
-    freely = HitSimulator(override(experiment, dict.fromkeys(limit, None))).hit(1200.0, 0.5)
+    freely = HitSimulator(override(experiment, {f"rig.limits.{name}": None})).hit(1200.0, 0.5)
     assert freely.ticks > watched.ticks
     assert freely.true.kind is Kind.UNSTABLE
     assert not freely.true.thrown_out
-
-
-def test_without_bytes_the_run_ends_in_the_same_tick(rig_hit: Hits) -> None:
-    experiment = override(PLACED, {**VIOLENT, "rig.limits.oscillations": 10})
-    simulator = HitSimulator(experiment)
-    placed = override(experiment, {"rig.simulation.initial_position": simulator.start})
-    assert simulator.hit(1200.0, 0.5).ticks == len(rig_hit(placed, may_end=True).recording)
 
 
 def test_a_law_on_the_device_is_ended_by_the_host(rig_hit: Hits) -> None:

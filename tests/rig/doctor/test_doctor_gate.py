@@ -18,7 +18,7 @@ from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.doctor import gate as gates
-from rig.doctor._walls import candidate_rates, dampings_of, supported_walls
+from rig.doctor._walls import dampings_of, supported_walls
 from rig.doctor.gate import LIFETIME_SHARE, check_armable, gate
 from rig.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
 from rig.experiments.hits.hit import in_effect
@@ -281,23 +281,6 @@ def test_in_real_time_the_device_names_the_rate_and_the_file_the_wall_unless_the
 
 
 # ---------------------------------------------------------------------- the table of walls
-
-
-def test_candidate_rates_and_their_reasons() -> None:
-    def found(measurement: Any, maximum: Any) -> Any:
-        return [(rate.hertz, rate.because) for rate in candidate_rates(CALM, measurement, maximum)]
-
-    assert found(link(30e-6), 4000) == [(1000, "the experiment's"), (4000, "the device's maximum")]
-    assert found(link(0.4e-3), 4000) == [
-        (1000, "the experiment's"), (2500, "one tick of delay"), (4000, "the device's maximum"),
-    ]  # fmt: skip
-    assert found(link(30e-6, capacity=92_160.0), 4000) == [
-        (1000, "the experiment's"), (1200, "the link's capacity"),
-    ]  # fmt: skip
-    assert found(link(1e-3), 1000) == [(1000, "the experiment's, the device's maximum")]
-    assert found(link(0.0, virtual=True), 20_000) == [
-        (1000, "the experiment's"), (20_000, "the device's maximum"),
-    ]  # fmt: skip
 
 
 def test_the_table_has_the_limits_of_theory_for_each_scheme_with_its_delay() -> None:
