@@ -36,7 +36,7 @@ def row_work(count: int) -> Callable[[], object]:
 
 
 @pytest.mark.parametrize("made", [clock_work, row_work])
-def test_work_on_a_whole_session_grows_with_its_length_not_with_its_square(
+def test_work_on_a_session_grows_with_its_length_alone(
     made: Callable[[int], Callable[[], object]],
 ) -> None:
     times = []

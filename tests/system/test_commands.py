@@ -161,7 +161,7 @@ ROWS = (
         "lipschitz residual_rms offset frequencies_hz amplitudes phases lipschitz_with_one_more_sine", "use it",
         ((NO_FILE, 9, NO_FILE),)),
     Row("estimators rank",
-        "tests/extras/papers/test_ranking.py::test_the_command_writes_results_and_the_page_that_follows_from_them", "",
+        "tests/extras/papers/test_ranking.py::test_the_command_writes_results_and_their_page", "",
         "", (("no-rig", 2, "koul-rigid"), ("hapkit --entry mine", 2, "does not name an estimator"))),
     Row("reproduce",
         "tests/extras/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal", "",

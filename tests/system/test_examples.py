@@ -55,7 +55,7 @@ def test_a_program_with_workers_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.exhaustive(
-    "tests/rig/testing/test_plugin.py::test_golden_recordings_are_missed_made_and_compared"
+    "tests/rig/testing/test_plugin.py::test_golden_recordings_are_compared"
 )
 def test_the_golden_test_makes_its_recording_and_passes_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

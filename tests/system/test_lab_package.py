@@ -15,7 +15,7 @@ from tests.conformance.guides import ROOT, blocks
 
 pytest.importorskip("hatchling")
 pytestmark = pytest.mark.exhaustive(
-    "tests/rig/testing/test_plugin.py::test_its_entry_point_and_dash_p_are_one_plugin"
+    "tests/rig/testing/test_plugin.py::test_entry_point_and_p_are_one_plugin"
 )
 
 WRONG = """

@@ -170,9 +170,7 @@ def test_a_task_that_fails_there_is_named_here(small_cluster: Any) -> None:
 
 
 @needs_distributed
-def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
-    small_cluster: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_version_on_workers_is_refused(small_cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     small_cluster.have(2)
     ours = code_version()
     monkeypatch.setattr("rig.experiments.sweep._coordinator.code_version", lambda: "9.9.9+0123456789ab")
@@ -182,7 +180,7 @@ def test_another_haptic_rig_on_the_workers_is_refused_with_both_versions(
 
 
 @needs_distributed
-@pytest.mark.exhaustive("::test_another_haptic_rig_on_the_workers_is_refused_with_both_versions")
+@pytest.mark.exhaustive("::test_another_version_on_workers_is_refused")
 def test_work_that_the_workers_do_not_have_is_refused(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -196,9 +194,7 @@ def test_work_that_the_workers_do_not_have_is_refused(
 
 @pytest.mark.exhaustive("::test_two_workers_give_the_bits_of_one_process")
 @needs_distributed
-def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
-    cluster: Any, tmp_path: Path
-) -> None:
+def test_a_killed_worker_loses_nothing_and_duplicates_nothing(cluster: Any, tmp_path: Path) -> None:
     cluster.have(2)
     tasks = sines_of(40, wait_s=0.03)
 
@@ -261,9 +257,7 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(small_cluster: A
 
 @needs_distributed
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
-def test_without_a_scheduler_the_remedy_is_to_start_one(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_scheduler_the_remedy_starts_one(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "CONNECT_S", 0.1)
     with pytest.raises(ConfigError, match=r"no reply from a Dask scheduler at .*with `dask scheduler`"):
         sweep.run(sines_of(2), scheduler=address)

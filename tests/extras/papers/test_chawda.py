@@ -104,9 +104,7 @@ def test_table_one_wants_a_strict_order_and_every_number_near() -> None:
 @given(
     seed=st.integers(0, 2**31), tolerance=st.sampled_from([0.0, 2.0]), residual=st.sampled_from([0.0, 0.5])
 )
-def test_a_reading_in_deviations_is_the_verdict_of_an_impedance(
-    seed: int, tolerance: float, residual: float
-) -> None:
+def test_a_reading_in_deviations_is_that_of_a_verdict(seed: int, tolerance: float, residual: float) -> None:
     random = np.random.default_rng(seed)
     lines = np.arange(1.0, 41.0)
     z = random.normal(0.5, 1.0, 40) + 1j * random.normal(0.0, 3.0, 40)

@@ -60,9 +60,7 @@ def plan_of(x: Any, scheme: str, dampings: Any, search: StiffnessSearch = LADDER
         (lambda left: True, [], NONE),
     ],
 )
-def test_the_cause_is_read_from_the_smallest_sets_without_which_both_agree(
-    differs: Any, sets: Any, cause: str
-) -> None:
+def test_the_cause_is_the_smallest_sets_without_which_both_agree(differs: Any, sets: Any, cause: str) -> None:
     found = cures(lambda taken: not differs(set(FOUR) - set(taken)))
     assert list(found) == sets
     assert cause_of(found) == cause

@@ -32,9 +32,7 @@ def test_the_handle_is_at_the_start_at_the_first_sample() -> None:
 # --- figure 7 ---------------------------------------------------------------------------------------------
 
 
-def test_few_bits_of_state_take_the_damping_from_a_uniform_wall_and_not_from_a_dual_rate_one(
-    figure_7: Any,
-) -> None:
+def test_few_bits_of_state_take_the_damping_from_a_uniform_wall_alone(figure_7: Any) -> None:
     """A uniform rate with cut-off fs/20 against 200 Hz at 2 kHz, with 14 bits and rounding to zero."""
     fixed = {panel.position_rate: panel.peaks for panel in figure_7 if panel.arithmetic == FIXED}
     expected = {20_000: (57.0, 57.0, 29.0), 10_000: (57.0, 39.75, 29.0)}

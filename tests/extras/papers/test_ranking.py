@@ -40,9 +40,7 @@ def test_the_fit_is_that_of_least_squares_over_the_contact() -> None:
     assert np.isnan(found[:2]).all()  # a rate in proportion to the penetration determines nothing
 
 
-def test_a_fine_encoder_renders_the_commanded_wall_and_a_wrong_effort_constant_does_not_change_the_fit() -> (
-    None
-):
+def test_a_fine_encoder_renders_the_commanded_wall_also_with_a_wrong_effort_constant() -> None:
     x = config.override(
         presets.load("chawda-linear"),
         {**FINE, "controller.position_rate": 20_000, "controller.velocity_rate": 20_000,
@@ -198,9 +196,7 @@ SMALL: dict[str, Any] = {
 }
 
 
-def test_a_small_ranking_with_an_own_entry_resumes_from_its_journal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_small_ranking_with_an_entry_resumes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rule, "OFFSETS", (0.6,))
     whole = measure.measure_rig("chawda-linear", directory=tmp_path, **SMALL)
     assert list(whole["conditions"]) == [*(pair.name for pair in PAIRS), ENTRY.estimator]
@@ -222,9 +218,7 @@ def test_a_small_ranking_with_an_own_entry_resumes_from_its_journal(
     assert again == [*rule.OFFSETS, *rule.OFFSETS]
 
 
-def test_the_command_writes_results_and_the_page_that_follows_from_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_writes_results_and_their_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     areas = {pair.name: 2.0**n for n, pair in enumerate(Ground.of("hapkit").pairs)}
     found = asdict(make_results("hapkit", **areas))
     asked: list[Any] = []

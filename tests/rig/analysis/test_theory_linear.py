@@ -228,9 +228,7 @@ def test_the_sign_of_the_encoder_and_its_resolution_change_nothing() -> None:
           "controller.velocity_rate": 20_000}, "estimated position"),
     ],
 )  # fmt: skip
-def test_a_wall_or_an_estimator_that_theory_lacks_is_refused_and_not_predicted(
-    changes: dict[str, Any], reason: str
-) -> None:
+def test_a_wall_or_an_estimator_that_theory_lacks_is_refused(changes: dict[str, Any], reason: str) -> None:
     with pytest.raises(linear.NotLinearError) as refused:
         theory.linear_loop(config.override(presets.load("koul-rigid"), changes))
     assert reason in refused.value.reason

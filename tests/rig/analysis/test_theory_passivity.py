@@ -26,9 +26,7 @@ def beta(scheme: Any, **options: Any) -> Any:
 
 @pytest.mark.parametrize(("share", "table"), [(20, 0.354), (10, 0.479), (5, 0.675)])
 @pytest.mark.parametrize("rates", ["dual:20k/2k", "uniform:1k"])
-def test_beta_of_butterworth_depends_on_the_share_of_the_rate_only(
-    share: int, table: float, rates: str
-) -> None:
+def test_beta_of_butterworth_depends_on_the_share_of_the_rate(share: int, table: float, rates: str) -> None:
     rate = theory.linear_loop(IDEAL, rates).controller.velocity_rate
     assert beta(f"{rates},cutoff_hz={rate / share}") == pytest.approx(table, abs=5e-4)
     assert beta(f"{rates},cutoff_hz={rate / share}", negative=True) == pytest.approx(1.0, abs=1e-9)
@@ -190,9 +188,7 @@ def test_friction_binds_where_the_quantum_is_coarse() -> None:
         (100.0, 1e-3, 1e-6, "unstable"),
     ],
 )
-def test_diolaitis_plane_has_four_regions(
-    stiffness: float, damping: float, coulomb: float, region: str
-) -> None:
+def test_diolaitis_plane_has_regions(stiffness: float, damping: float, coulomb: float, region: str) -> None:
     mechanics = replace(RIGID.mechanics, motor_damping=damping, link_damping=0.0, motor_coulomb=coulomb)
     found = theory.diolaiti(replace(RIGID, mechanics=mechanics), "uniform:20k", stiffness)
     assert found.region == region

@@ -64,9 +64,7 @@ def test_a_toggling_count_is_no_second_peak_and_an_endless_swing_never_settles()
 
 
 @given(counts=st.lists(st.integers(-50, 50), min_size=4, max_size=80), least=st.floats(2.0, 20.0))
-def test_a_second_peak_is_never_above_the_first_and_lies_beyond_a_dip(
-    counts: list[int], least: float
-) -> None:
+def test_a_second_peak_is_not_above_the_first_and_lies_beyond_a_dip(counts: list[int], least: float) -> None:
     depth = np.array(counts, dtype=np.float64)
     second = second_peak(depth, least)
     if second is not None:

@@ -61,9 +61,7 @@ def part_to_cut(uncut: Recording, name: str) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("part", ["homing", "contact", "beginning", "end", "all"])
-def test_a_cut_has_the_rows_between_and_replays_as_the_whole_does(
-    part: str, uncut: Recording, tmp_path: Path
-) -> None:
+def test_a_cut_has_the_rows_between_and_replays_exactly(part: str, uncut: Recording, tmp_path: Path) -> None:
     first_s, last_s = part_to_cut(uncut, part)
     result = cut_recording(place(uncut), first_s, last_s, output=tmp_path)
     made = open_recording(result.path)
@@ -108,9 +106,7 @@ def test_a_cut_of_a_cut_replays_too(uncut: Recording, tmp_path: Path) -> None:
     assert replay(made).exact
 
 
-def test_another_law_is_refused_in_the_middle_and_not_from_the_beginning(
-    uncut: Recording, tmp_path: Path
-) -> None:
+def test_another_law_is_refused_in_the_middle_not_from_the_start(uncut: Recording, tmp_path: Path) -> None:
     changes = {"controller.estimator": "fdm"}
     middle = open_recording(cut_recording(place(uncut), 0.05, 0.15, output=tmp_path).path)
     with pytest.raises(RecordingError, match="middle of a trial") as refused:
@@ -159,9 +155,7 @@ def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(uncut: Record
     export(path, tmp_path / "cut.csv")
 
 
-def test_an_impossible_cut_is_refused_and_one_that_cannot_be_replayed_is_made(
-    uncut: Recording, tmp_path: Path
-) -> None:
+def test_an_impossible_cut_is_refused_one_without_replay_is_made(uncut: Recording, tmp_path: Path) -> None:
     for first_s, last_s in ((5.0, 6.0), (-2.0, -1.0), (0.1, 0.05), (0.1, 0.1)):
         with pytest.raises(RecordingError, match="fewer than 2 rows") as refused:
             cut(uncut, first_s, last_s)

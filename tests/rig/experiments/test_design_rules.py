@@ -95,9 +95,7 @@ def test_as_good_means_each_measure_of_the_paper_to_a_rung() -> None:
         ("tuned", 101, 100),
     ],
 )
-def test_each_row_of_the_second_papers_table_has_its_own_tolerance(
-    name: str, worse: float, enough: float
-) -> None:
+def test_each_row_of_the_second_papers_table_has_a_tolerance(name: str, worse: float, enough: float) -> None:
     assert not rules.reaches(name, worse, 100.0, 1.15)
     assert rules.reaches(name, enough, 100.0, 1.15)
     assert not rules.reaches(name, math.nan, 100.0, 1.15)

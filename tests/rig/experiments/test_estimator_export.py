@@ -88,9 +88,7 @@ def test_every_estimator_can_be_exported_or_is_refused_with_the_reason(tmp_path:
     ],
     ids=lambda one: one if isinstance(one, str) else one.label,
 )
-def test_the_test_finds_a_number_that_was_changed_by_a_tenth(
-    variant: Variant, number: str, tmp_path: Path
-) -> None:
+def test_the_test_finds_a_number_off_by_a_tenth(variant: Variant, number: str, tmp_path: Path) -> None:
     export = write_export(variant, tmp_path)
     (found,) = re.finditer(rf"\.{number} = ([\d.e-]+)(f?),", export.text)
     changed = f"{1.1 * float(found[1]):{'.9g' if found[2] else '.0f'}}{found[2]}"

@@ -412,9 +412,7 @@ def test_the_plan_lists_and_checks_before_anything_moves() -> None:
     assert checks["excitation over friction"].outcome == Outcome.WARNING
 
 
-def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that_works(
-    tmp_path: Path,
-) -> None:
+def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_one_that_works(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match=r"choose `rate` (\d+) or more") as caught:
         identified(RIGID, tmp_path, rate_hz=250)
     works = int(re.findall(r"`rate` (\d+)", str(caught.value))[0])
@@ -453,9 +451,7 @@ def test_lost_samples_are_filled_in_up_to_a_bound(chawda: Any) -> None:
 
 @pytest.mark.exhaustive("::test_lost_samples_are_filled_in_up_to_a_bound")
 @pytest.mark.parametrize("preset", ["koul-compliant", "chawda-linear"])
-def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
-    preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lost_samples_spoil_no_value(preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the allowed share is lost at random in every motion."""
     rng = np.random.default_rng(5)
 

@@ -103,9 +103,7 @@ def test_a_position_seen_at_the_ticks_alone_has_the_images_of_sampling(wall: tup
 @pytest.mark.parametrize(
     ("delay", "drive"), first_by_default([(1, "current"), (0, "current"), (1, "voltage")])
 )
-def test_the_closed_form_holds_with_lag_delay_and_two_masses_at_the_encoder_and_at_the_handle(
-    delay: int, drive: str
-) -> None:
+def test_the_closed_form_holds_with_lag_delay_and_two_masses_on_both_sides(delay: int, drive: str) -> None:
     fine = {
         "rig.amplifier.drive": drive,
         "rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.link_coulomb": 0.0,
@@ -150,9 +148,7 @@ def test_the_fit_of_a_voltage_driven_rig_is_its_own_damping_and_mass(channel: st
 
 
 @pytest.mark.parametrize(("wall", "agree"), [((0.0, 0.0), 0.02), ((10e3, 30.0), 0.4)])
-def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
-    wall: tuple[float, ...], agree: float
-) -> None:
+def test_on_a_rigid_rig_the_own_motor_measures_as_a_second_one(wall: tuple[float, ...], agree: float) -> None:
     """Each result equals its own closed form; they differ by under 0.4 %, from the sampling images of the hold."""
     scheme = "fdm" if any(wall) else "fdm-butterworth,cutoff_hz=100"
     x = linear_rig(f"uniform:1k,estimator={scheme}", **{"excitation.channel": "motor"})

@@ -70,9 +70,7 @@ def test_a_sealed_recording_keeps_the_verdict_that_the_run_had(result: HitResult
 @pytest.mark.parametrize(
     "changes", [None, {"kind": "calm"}, {"growth": None}, {"ticks": "many"}, {"reasons": 3}], ids=str
 )
-def test_a_recording_without_a_readable_verdict_is_judged_again(
-    result: HitResult, changes: dict[str, Any] | None
-) -> None:
+def test_without_a_verdict_it_is_judged_again(result: HitResult, changes: dict[str, Any] | None) -> None:
     trailer = {"reason": "finished"} if changes is None else trailer_with(result, **changes)
     recording = replace(result.recorded.recording, trailer=trailer)
     found: Verdicts = judge(recording, result.experiment)
@@ -100,9 +98,7 @@ def test_a_handle_that_friction_held_away_from_its_start_has_a_row(coulomb: floa
 @pytest.mark.parametrize(("fault", "expected"), [
     ("TICK_OVERRUN", True), ("LINK_LOST", True), ("DRIVE_SILENT", True), ("OVER_SPEED", False), (None, False),
 ])  # fmt: skip
-def test_a_fault_of_missed_time_is_recognised_by_its_name(
-    fault: str | None, expected: bool, result: HitResult
-) -> None:
+def test_a_fault_of_missed_time_is_recognised(fault: str | None, expected: bool, result: HitResult) -> None:
     """The fault of a drive behind a bridge counts too, even if the installation has no bridge."""
     trailer = {"reason": "device_fault", "fault": None if fault is None else {"name": fault}}
     assert out_of_time(replace(result.recorded.recording, trailer=trailer)) is expected

@@ -140,9 +140,7 @@ def test_a_law_defined_in_this_program_goes_to_no_other_and_into_no_directory(tm
     assert not list(tmp_path.iterdir())
 
 
-def test_a_law_that_a_package_installs_is_known_by_its_name(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_law_of_a_package_is_known_by_its_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "mylab", SimpleNamespace(soft=replace(stiffening(), name="soft")))
     point = EntryPoint("soft", "mylab:soft", "rig.laws")
     monkeypatch.setattr(plugins, "entry_points", lambda group: [point] if group == "rig.laws" else [])

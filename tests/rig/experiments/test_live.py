@@ -89,9 +89,7 @@ def gate_info(**changes: Any) -> dict[str, Any]:
         ({"gate": None}, False),
     ],
 )
-def test_a_wall_that_the_gate_would_not_have_armed_does_not_become_active_later_either(
-    gate: dict[str, Any], refused: bool
-) -> None:
+def test_a_wall_that_the_gate_refuses_is_not_activated_later(gate: dict[str, Any], refused: bool) -> None:
     ring = Ring.allocate(1, info=info_of(**gate))
     if not refused:
         assert live._post(ring, {"wall.stiffness": 400.0})[0] == 1

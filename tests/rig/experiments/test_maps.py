@@ -86,9 +86,7 @@ def test_an_invalid_plan_is_refused_by_its_file_name(tmp_path: Path, text: str) 
         maps.read_plan(tmp_path)
 
 
-def test_the_ends_of_a_series_are_judged_as_recorded_hits_of_them_to_the_last_bit(
-    place: Any, tmp_path: Path
-) -> None:
+def test_the_ends_of_a_series_are_judged_as_recorded_hits_to_the_bit(place: Any, tmp_path: Path) -> None:
     """Repeat wall, offset and seed over the byte link; compare the verdicts by recording and by truth."""
     journal, _ = read_on(place / maps.JOURNAL)
     series_of = {series.key: series for series in PLAN.series()}

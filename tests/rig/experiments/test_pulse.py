@@ -240,9 +240,7 @@ def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tm
 
 
 @pytest.mark.exhaustive("::test_a_real_rig_is_pushed_before_a_person_is_armed_and_once")
-def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed(
-    real: None, tmp_path: Path
-) -> None:
+def test_a_rig_that_a_run_left_in_doubt_is_pushed_again(real: None, tmp_path: Path) -> None:
     prompts: list[str] = []
     with free_rig() as device:
         person = person_request(device, tmp_path, hands_off=prompts.append)
@@ -301,9 +299,7 @@ def test_single_counts_of_a_coarse_encoder_do_not_end_the_pushes(tmp_path: Path)
         ]
     ),
 )
-def test_a_plan_names_the_limits_with_which_the_pushes_work(
-    name: str, changes: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_plan_names_limits_at_which_pushes_work(name: str, changes: dict[str, Any], tmp_path: Path) -> None:
     x = config.override(presets.load("koul-rigid"), changes)
     (found,) = [check for check in make_plan(x).checks if check.name == name]
     assert found.outcome is Outcome.WARNING

@@ -82,9 +82,7 @@ def test_damage_in_the_middle_is_counted(tmp_path: Path) -> None:
 
 # In virtual time rows reach the disk by blocks, not by age.
 @pytest.mark.parametrize(("whole", "kind", "lost_s"), [(True, "monotonic", 0.0), (False, "virtual", None)])
-def test_the_time_that_a_crash_cost_depends_on_end_and_clock(
-    tmp_path: Path, whole: bool, kind: str, lost_s: float | None
-) -> None:
+def test_the_loss_depends_on_the_clock(tmp_path: Path, whole: bool, kind: str, lost_s: float | None) -> None:
     write(tmp_path / "trial.rigcap", whole=whole, kind=kind)
     found = recover_one(tmp_path)
     assert (found.outcome, found.complete, found.lost_at_most_s) == (CaptureState.SEALED, whole, lost_s)
@@ -144,9 +142,7 @@ def test_a_capture_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     assert recover_one(tmp_path).outcome == CaptureState.SEALED
 
 
-def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_of_a_loop_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process may still judge after its loop is done, and some file systems have no locks."""
     write(tmp_path / "trial.rigcap", whole=True)
     write(tmp_path / "other.rigcap", whole=True)

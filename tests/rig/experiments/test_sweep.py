@@ -67,9 +67,7 @@ def numbered_tasks(number: int, *payloads: dict[str, Any]) -> list[Task]:
 
 @pytest.mark.parametrize("workers", [1, 2, 4])
 @pytest.mark.parametrize("kept", ["in memory", "in a journal"])
-def test_results_are_those_of_a_plain_loop_in_the_order_of_the_tasks(
-    workers: int, kept: str, tmp_path: Path
-) -> None:
+def test_results_are_those_of_a_plain_loop_in_its_order(workers: int, kept: str, tmp_path: Path) -> None:
     tasks = sines_of(16, wait_s=0.004)
     journal = tmp_path / "j" if kept == "in a journal" else None
     results = sweep.run(tasks, workers=workers, journal=journal)
@@ -115,7 +113,7 @@ def test_a_sweep_of_nothing_and_one_outside_the_main_thread() -> None:
 # The journal -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.exhaustive("::test_a_truncated_or_corrupted_journal_is_completed_or_refused_and_never_trusted")
+@pytest.mark.exhaustive("::test_a_damaged_journal_is_completed_or_refused_not_trusted")
 def test_kill_9_loses_at_most_the_tasks_in_flight(tmp_path: Path) -> None:
     journal, log, workers = tmp_path / "j", tmp_path / "log", 2
     program = (
@@ -150,9 +148,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @given(data=st.data())
-def test_a_truncated_or_corrupted_journal_is_completed_or_refused_and_never_trusted(
-    finished: Any, data: st.DataObject
-) -> None:
+def test_a_damaged_journal_is_completed_or_refused_not_trusted(finished: Any, data: st.DataObject) -> None:
     path, results, whole = finished
     path = path.with_name("damaged")
     damaged = bytearray(whole[: data.draw(st.integers(0, len(whole)), label="cut at")])
@@ -195,9 +191,7 @@ def test_a_finished_journal_needs_neither_work_nor_cluster(finished: Any) -> Non
         ([replace(FEW[0], key="first"), *FEW[1:]], 'first.key: "seed 0" in the file, "first" now'),
     ],
 )
-def test_the_journal_of_another_plan_is_refused_with_what_differs(
-    finished: Any, tasks: Any, differs: str
-) -> None:
+def test_the_journal_of_another_plan_is_refused_by_name(finished: Any, tasks: Any, differs: str) -> None:
     path, _, whole = finished
     with pytest.raises(ConfigError) as caught:
         sweep.run(tasks, journal=path)
@@ -205,9 +199,7 @@ def test_the_journal_of_another_plan_is_refused_with_what_differs(
     assert path.read_bytes() == whole
 
 
-def test_a_journal_of_other_code_is_refused_with_both_versions(
-    finished: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_journal_of_other_code_names_both_versions(finished: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.experiments.sweep._tasks.code_version", lambda: "9.9.9+0123456789ab")
     with pytest.raises(ConfigError, match=r'version: "0\.\d.*" in the file, "9\.9\.9\+0123456789ab" now'):
         sweep.run(FEW, journal=finished[0])
@@ -234,9 +226,7 @@ def test_one_process_at_a_time(tmp_path: Path) -> None:
     assert len(sweep.run(FEW, journal=path)) == 6
 
 
-def test_the_disk_is_synced_a_few_times_a_second_and_at_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_disk_is_synced_at_times_and_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []
     monkeypatch.setattr(lines.os, "fsync", synced.append)
     started = time.monotonic()
@@ -275,9 +265,7 @@ def interrupt_at(done: Any) -> Any:
 
 @pytest.mark.parametrize("kept", ["in memory", "in a journal"])
 @pytest.mark.signals
-def test_ctrl_c_keeps_finished_and_running_tasks_and_the_same_command_resumes(
-    kept: str, tmp_path: Path
-) -> None:
+def test_ctrl_c_keeps_finished_and_running_tasks_and_a_command_resumes(kept: str, tmp_path: Path) -> None:
     journal, log = tmp_path / "j" if kept == "in a journal" else None, tmp_path / "log"
     tasks = marks(12, log, wait_s=0.02)
     with pytest.raises(SweepStoppedError) as caught:

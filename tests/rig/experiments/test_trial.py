@@ -198,9 +198,7 @@ def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
         assert bench.run(name="second").reason == EndReason.FINISHED
 
 
-def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_error_of_a_run_outlasts_that_of_sealing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any, **__: Any) -> None:
         raise RecordingError("no space left", remedy="free some space")
 
@@ -247,9 +245,7 @@ def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path: Path) -> 
     assert trailer["verdict"]["kind"] == "invalid"
 
 
-def test_an_error_of_the_progress_after_the_last_tick_is_not_forgotten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_late_error_of_the_progress_is_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The progress callback runs once more while the loop ends by itself."""
     bench = Bench(tmp_path)
     wait = LoopThread.wait
@@ -298,9 +294,7 @@ def assert_stopped(bench: Any, caught: Any) -> None:
     ids=["once", "term", "impatient"],
 )
 @pytest.mark.signals
-def test_ctrl_c_however_often_ends_with_a_whole_recording(
-    numbers: Any, tmp_path: Path, handlers: None
-) -> None:
+def test_ctrl_c_however_often_leaves_a_whole_recording(numbers: Any, tmp_path: Path, handlers: None) -> None:
     bench = Bench(tmp_path)
     with pytest.raises(StoppedError) as caught:
         bench.run(LONG, progress=interrupting(numbers))
@@ -347,9 +341,7 @@ def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(
     ("options", "reason"), [({}, "finished"), ({"law": RAISING}, "law_raised")], ids=["finished", "law"]
 )
 @pytest.mark.signals
-def test_ctrl_c_while_the_recording_is_sealed_is_not_forgotten(
-    options: Any, reason: str, tmp_path: Path, handlers: None
-) -> None:
+def test_ctrl_c_in_sealing_is_not_lost(options: Any, reason: str, tmp_path: Path, handlers: None) -> None:
     """A Z-width map continues with the next wall after a guard stop, but not after Ctrl-C."""
     bench = Bench(tmp_path)
     with pytest.raises(StoppedError) as caught:
@@ -443,9 +435,7 @@ def test_a_hit_beyond_a_limit_is_refused_before_a_directory_is_made(tmp_path: Pa
     assert files(tmp_path) == []
 
 
-def test_a_consumer_that_stops_early_closes_the_device(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_consumer_that_stops_early_closes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = []
     original = rig.devices.open_device
 

@@ -33,9 +33,7 @@ def weigh_rig(output: Path, **changes: Any) -> Weighing:
 
 
 @pytest.mark.parametrize("true", first_by_default([0.9, 1.15]))
-def test_a_wrong_constant_is_measured_beside_a_bent_cable(
-    true: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_constant_is_measured(true: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The motor gives `true` times the described effort per ampere; a bent cable adds a constant effort."""
 
     opened = devices.open_device
@@ -53,9 +51,7 @@ def test_a_wrong_constant_is_measured_beside_a_bent_cable(
     assert abs(found.bare.bias.value) == pytest.approx(0.015 / true, rel=0.02)
 
 
-def test_a_person_hangs_the_mass_between_two_runs_of_one_device(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_person_hangs_the_mass_between_two_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = devices.open_device
     held: list[FramedDevice] = []
     asked: list[str] = []
@@ -90,9 +86,7 @@ def test_a_person_hangs_the_mass_between_two_runs_of_one_device(
         ({"arm_m": -1.0}, "the arm is -1"),
     ],
 )
-def test_a_load_that_the_motor_cannot_hold_is_refused(
-    changes: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_a_load_beyond_the_motor_is_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises((PlanError, ConfigError), match=message):
         weigh_rig(tmp_path, **changes)
     assert not list(tmp_path.iterdir())

@@ -72,9 +72,7 @@ def test_two_workers_give_the_bits_of_one_and_repeats_and_offsets_differ() -> No
         2,
     ),
 )
-def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(
-    scheme: str, damping: float
-) -> None:
+def test_without_friction_and_quantum_the_limit_is_that_of_linear_theory(scheme: str, damping: float) -> None:
     # Below the limit the ringing dies out more slowly the nearer it is: after three seconds a rung or two are lost.
     experiment, of = config.override(presets.load("koul-compliant"), LINEAR), Scheme.parse(scheme)
     expected = theory.k_max(experiment, of, damping).stiffness

@@ -156,9 +156,7 @@ def test_an_error_that_the_wall_did_not_cause_ends_the_session(
         zwidth_on_rig(plan_map(), Person().session(tmp_path))
 
 
-def test_a_hit_that_ended_by_missed_ticks_is_repeated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hit_that_missed_ticks_ended_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The device misses ticks in the middle of the push; the map still equals that of an undisturbed session."""
     plan = plan_map(dampings=(0.1,), search=StiffnessSearch(lowest=100.0, highest=110.0, ratio=1.2))
     undisturbed = zwidth_on_rig(plan, Person().session(tmp_path / "undisturbed"))
@@ -263,9 +261,7 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_
         ),
     ],
 )
-def test_a_map_beyond_the_device_is_refused_before_the_first_question(
-    tmp_path: Path, plan: Any, text: str
-) -> None:
+def test_a_map_beyond_the_device_is_refused_before_a_question(tmp_path: Path, plan: Any, text: str) -> None:
     person = Person()
     url = "sim://?position_rate_maximum=8000&position_rate_default=1000"
     with pytest.raises(PlanError, match=text):

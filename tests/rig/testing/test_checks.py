@@ -97,9 +97,7 @@ def marks(depth: float, velocity: float, elapsed: int, state: Floats, numbers: F
         (drives, r"gives .* J in a cycle 0.01 deep .*: it feeds energy into the handle"),
     ],
 )
-def test_the_error_of_a_law_names_the_promise_that_it_breaks(
-    function: Callable[..., float], message: str
-) -> None:
+def test_the_error_of_a_law_names_the_broken_promise(function: Callable[..., float], message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check_law(bad(function))
 
@@ -148,7 +146,7 @@ def overflows(
     ("function", "message"),
     [(leaks, "the estimator allocates while it runs"), (overflows, "writes outside of its memory")],
 )
-def test_the_error_of_an_estimator_names_the_promise_that_it_breaks(function: Any, message: str) -> None:
+def test_the_error_of_an_estimator_names_the_broken_promise(function: Any, message: str) -> None:
     fdm = estimators.get("fdm")
     broken: Estimator = replace(fdm, update=kernel(ESTIMATOR_SIGNATURE)(function))
     with pytest.raises(AssertionError, match=message):

@@ -219,9 +219,7 @@ def port(served: SerialRig, suite: pytest.Pytester) -> SerialRig:
     return served
 
 
-def test_a_rig_behind_a_port_is_locked_hit_and_left_at_rest(
-    port: SerialRig, pytester: pytest.Pytester
-) -> None:
+def test_a_rig_behind_a_port_is_locked_hit_and_at_rest(port: SerialRig, pytester: pytest.Pytester) -> None:
     result = pytester.runpytest_inprocess("--rig-url", port.url, "--rig-verified", "-n0")
     result.assert_outcomes(passed=2)
     did = port.did()

@@ -17,9 +17,7 @@ from rig.testing import Experiments, FaultWords, Hits, Maps, with_every_frame
 from tests.conformance.tiers import first_by_default
 
 
-def test_its_entry_point_and_dash_p_are_one_plugin(
-    suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_entry_point_and_p_are_one_plugin(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     """pytest registers a plug-in once per name, so an entry point of another name would raise an error."""
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     assert project["entry-points"]["pytest11"] == {"rig.testing.plugin": "rig.testing.plugin"}
@@ -88,9 +86,7 @@ def test_the_first_failing_frame_is_named_with_the_count_of_all() -> None:
         (7, lambda hits: pytest.fail("broken without any fault"), "broken without any fault"),
     ],
 )
-def test_a_test_that_cannot_run_with_every_frame_fails_with_the_reason(
-    frames: int, test: Any, message: str
-) -> None:
+def test_a_test_that_cannot_run_with_every_frame_has_a_reason(frames: int, test: Any, message: str) -> None:
     hits: Any = Rigless(frames)
     with pytest.raises(pytest.fail.Exception, match=message):
         with_every_frame(lambda: test(hits), hits, ["drop"], "host")()
@@ -135,9 +131,7 @@ def test_the_marker_is_known_and_its_mistakes_are_reported(suite: pytest.Pyteste
 @pytest.mark.parametrize(
     ("mode", "kept"), first_by_default([("failed", ["fails"]), ("all", ["fails", "passes"]), ("none", [])])
 )
-def test_recordings_are_kept_as_asked_and_listed_at_the_end(
-    suite: pytest.Pytester, mode: str, kept: list[str]
-) -> None:
+def test_recordings_are_kept_as_asked_and_listed(suite: pytest.Pytester, mode: str, kept: list[str]) -> None:
     suite.makepyfile(
         test_it="""
         def test_passes(rig_hit, rig_experiment):
@@ -157,9 +151,7 @@ def test_recordings_are_kept_as_asked_and_listed_at_the_end(
     assert (f"recordings of {len(kept)} tests: {place}" in result.stdout.str()) == bool(kept)
 
 
-def test_golden_recordings_are_missed_made_and_compared(
-    suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_golden_recordings_are_compared(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     suite.makepyfile(
         test_it="""
         import os
@@ -226,9 +218,7 @@ def test_with_scripted_faults_an_early_end_is_the_error_of_the_hit_and_an_invali
         rig_hit(None, {"wall.stiffness": -1.0})
 
 
-def test_the_device_latches_the_scripted_fault(
-    rig_hit: Hits, rig_faults: FaultWords, rig_experiment: Experiments
-) -> None:
+def test_a_scripted_fault_latches(rig_hit: Hits, rig_faults: FaultWords, rig_experiment: Experiments) -> None:
     seen: list[int] = []
     rig_faults.at(10, lambda device: seen.append(device.sample_index))
     rig_faults.device("ENCODER", tick=30)

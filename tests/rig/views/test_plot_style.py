@@ -23,9 +23,7 @@ BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
 @pytest.mark.parametrize("ending", first_by_default(style.FORMATS))
-def test_the_name_chooses_the_format_and_the_same_picture_has_the_same_bytes(
-    ending: str, tmp_path: Path
-) -> None:
+def test_the_name_chooses_the_format_and_a_picture_has_the_same_bytes(ending: str, tmp_path: Path) -> None:
     first, second = (
         style.save(a_figure(), tmp_path / name).read_bytes()
         for name in (f"a.{ending}", f"b.{ending.upper()}")
