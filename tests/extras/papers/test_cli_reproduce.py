@@ -72,3 +72,18 @@ def test_quick_reproduces_a_paper_in_one_report(
         assert f'id="{section}"' in page
     assert page.count("data:image/png;base64,") == PICTURES[paper]
     assert "(no picture)" not in page
+
+
+@pytest.mark.exhaustive(
+    "tests/extras/papers/test_koul_figures.py::test_few_bits_of_state_take_the_damping_from_a_uniform_wall_alone"
+)
+def test_figures_7_and_8_of_koul_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert rig.cli.run(["reproduce", "koul", "--impacts", "--plot", "-o", "figures"]) == 0
+    printed = capfd.readouterr().out
+    assert all(words in printed for words in ("57.00 (57…57)", "39.75 (35…45)", "29.00 (29…29)", "figure 8"))
+    assert {p.name for p in (tmp_path / "figures").iterdir()} == {"koul-figure-7.png", "koul-figure-8.png"}
+    assert rig.cli.run(["reproduce", "koul", "--impacts", "--json"]) == 0
+    assert {"figure_7", "word_lengths", "figure_8"} <= set(json.loads(capfd.readouterr().out))

@@ -149,6 +149,11 @@ def test_a_wall_on_the_other_side_gives_the_same_depths() -> None:
     assert other.peak == pytest.approx(one.peak, abs=1.0)
 
 
+def test_a_uniform_experiment_is_compared_with_a_dual_rate_of_half() -> None:
+    none, _, dual = default_entries(presets.load("chawda-linear"))  # 1 kHz
+    assert (none.damping, dual.scheme.velocity_rate) == (0.0, 500)
+
+
 def test_an_impossible_comparison_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = short("koul-rigid")
     with pytest.raises(ConfigError, match=r"never reached the wall.*raise trial.effort"):

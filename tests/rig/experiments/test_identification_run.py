@@ -31,9 +31,9 @@ from rig.experiments.trials import _identify_motions as motions
 from rig.recording.reader import open_recording
 from sim_backend.bare.trial import run_trial
 from sim_backend.board.hardware import Hardware
-from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from sim_backend.mechanics.plant import DiscretePlant
+from tests.benchmarks.pulses import OnOtherHardware
 from tests.conformance.tiers import first_by_default
 from tests.rig.analysis.test_identification_cogging import fitted
 
@@ -386,19 +386,27 @@ def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(exper
         assert 0.9 < found.scale < 1.8
 
 
-def test_pushes_of_a_wrong_sign_move_as_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("part", "wrong", "message", "key"),
+    [
+        ("encoder", {"sign": -1}, "connected in reverse", "rig.encoder.sign"),
+        ("mechanics", {"motor_inertia": 2.6}, "times the described inertia", "rig.mechanics"),
+    ],
+)
+def test_pushes_of_another_rig_move_as_little_and_end_the_run(
+    part: str, wrong: Any, message: str, key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     described = config.rig_model(CHAWDA)
-    device, _ = make_device(described, None)
-    wired = replace(described, encoder=replace(described.encoder, sign=-1))
-    device.hardware = Hardware(wired, 1000, seed=0, initial_position=None)
+    other = replace(described, **{part: replace(getattr(described, part), **wrong)})
+    device = OnOtherHardware(described)
+    device.stand_before(Hardware(other, 1000, seed=0, initial_position=None))
     link = MemoryLink(device)
     monkeypatch.setattr(identifying.devices, "open_device", lambda url, model: FramedDevice(link))
-    with pytest.raises(IdentificationError, match="connected in reverse") as caught:
+    with pytest.raises(IdentificationError, match=message) as caught:
         identified(CHAWDA, tmp_path)
-    assert "rig.encoder.sign" in caught.value.remedy
+    assert key in caught.value.remedy
     (path,) = tmp_path.glob("*.parquet")
-    rows = open_recording(path).rows
-    assert 30 <= np.abs(rows["count"]).max() < 300
+    assert 30 <= np.abs(open_recording(path).rows["count"]).max() < 300
 
 
 def test_the_plan_lists_and_checks_before_anything_moves() -> None:
