@@ -14,8 +14,10 @@ from jinja2 import UndefinedError
 import rig.cli
 from rig.experiments.sweep import Task
 from rig.extras.papers import reproduction
+from rig.extras.papers.chawda.reproduction import CHAWDA
 from rig.extras.papers.claims import read_claims
 from rig.extras.papers.cli import PAPERS
+from rig.extras.papers.koul.reproduction import KOUL
 from rig.extras.papers.parts import Part, Parts
 from rig.extras.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
 from rig.extras.papers.rules import ClaimStatus, Ruling
@@ -230,3 +232,14 @@ def test_the_command_writes_one_report_and_resumes_from_its_journal(
     assert rig.cli.run([*command[:3], "-o", str(tmp_path)]) == 0
     printed = capfd.readouterr().out
     assert all(claim["claim"] in printed for claim in results[0]["claims"])
+
+
+@pytest.mark.exhaustive("::test_the_command_writes_one_report_and_resumes_from_its_journal")
+@pytest.mark.parametrize("paper", [KOUL, CHAWDA], ids=lambda paper: paper.name)
+def test_every_scale_plans_every_part_once_and_in_plain_data(paper: Paper) -> None:
+    quick, full = (paper.plan(scale).parts() for scale in (paper.quick, paper.full))
+    names, all_names = ({name.partition("/")[0] for name in parts} for parts in (quick, full))
+    assert names == all_names  # nothing is left out when it is quick
+    for part in quick.values():
+        assert len({task.key for task in part}) == len(part)
+        json.dumps([task.payload for task in part], allow_nan=False)

@@ -101,6 +101,15 @@ def test_table_one_stands_beside_the_papers(map_with_friction: Any) -> None:
     json.dumps(plain(table), allow_nan=False)
 
 
+def test_a_wall_that_throws_the_handle_out_has_time_and_reason() -> None:
+    tight = config.override(SHORT, {"rig.limits.speed": 0.3, "excitation.realisations": 1})
+    found = zwidth(plan(tight, [FDM], [5e3, 2e6], [100.0]))
+    soft, _, hard, _ = found.columns[0]
+    assert soft["ended_s"] is None
+    assert (hard["passive"], hard["fidelity"], 0.0 < hard["ended_s"] < 3.0) == (False, None, True)
+    assert "limit" in hard["reason"] or "window" in hard["reason"]
+
+
 def test_dual_rate_goes_through_the_same_plan() -> None:
     """On a two-mass rig the handle's true motion is measured, because the encoder is on the other mass."""
     once = dict.fromkeys(("excitation.periods", "excitation.settle_periods", "excitation.realisations"), 1)
