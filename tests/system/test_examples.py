@@ -54,9 +54,7 @@ def test_a_program_with_workers_runs(tmp_path: Path) -> None:
     assert run(tmp_path, sys.executable, EXAMPLES / PARALLEL)
 
 
-@pytest.mark.exhaustive(
-    "tests/rig/testing/test_plugin.py::test_golden_recordings_are_compared"
-)
+@pytest.mark.exhaustive("tests/rig/testing/test_plugin.py::test_golden_recordings_are_compared")
 def test_the_golden_test_makes_its_recording_and_passes_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

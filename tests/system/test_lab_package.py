@@ -14,9 +14,7 @@ from packaging.requirements import Requirement
 from tests.conformance.guides import ROOT, blocks
 
 pytest.importorskip("hatchling")
-pytestmark = pytest.mark.exhaustive(
-    "tests/rig/testing/test_plugin.py::test_entry_point_and_p_are_one_plugin"
-)
+pytestmark = pytest.mark.exhaustive("tests/rig/testing/test_plugin.py::test_entry_point_and_p_are_one_plugin")
 
 WRONG = """
 import rig
