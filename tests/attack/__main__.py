@@ -19,8 +19,7 @@ from pathlib import Path
 from select import select
 from typing import Any
 
-from tests.attack.area import isolation
-from tests.attack.report import AreaReport
+from tests.attack.area import AreaReport, isolation
 from tests.attack.worker import AREAS
 from tests.conformance.started import started
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.attack.__main__ import attack
-from tests.attack.report import AreaReport
+from tests.attack.area import AreaReport
 from tests.attack.worker import answer, area_of
 
 SEED = 1

@@ -1,10 +1,11 @@
-"""Jobs and their operator: STOP in every phase, an operator who leaves, and processes with arbitrary output.
+"""Jobs and their operator: STOP in every phase, an operator who leaves; jobs and errands with arbitrary output.
 
 A job here is a small program in place of `rig.extras.console.worker`.
 """
 
 import asyncio
 import errno
+import os
 import sys
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
@@ -13,7 +14,9 @@ from typing import Any
 
 import pytest
 
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, RigError
+from rig.extras.console import errands as sent
+from rig.extras.console.errands import Errands
 from rig.extras.console.jobs import Job, Jobs
 from rig.extras.console.lease import LOOK_S, Lease
 from rig.extras.console.live import Live
@@ -184,3 +187,40 @@ async def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: p
     assert [(one["kind"], one["error"]) for one in failed] == [
         ("StoppedError", "stopped before anything moved")
     ]
+
+
+async def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path: Path) -> None:
+    errands = Errands()
+    try:
+        asked = {"directory": str(tmp_path), "search": "", "first": 0}
+        assert await errands.run("recordings", **asked) == ({"recordings": [], "more": False}, b"")
+        with pytest.raises(RigError, match="'exe' is not an export format"):
+            await errands.run("export", path="nowhere", form="exe")
+        (process,) = errands._all
+        os.kill(process.pid, 9)
+        with pytest.raises(RigError, match="the background process for 'recordings' ended"):
+            await errands.run("recordings", **asked)
+        assert (errands._idle, errands._all) == ([], set())  # the next one gets another
+    finally:
+        await errands.close()
+    assert process.returncode is not None
+
+
+async def test_a_reply_that_is_too_long_is_an_error_and_ends_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sent, "LINE_BYTES", 10)
+    start = asyncio.create_subprocess_exec
+
+    async def writes_much(*_: str, **options: Any) -> Any:
+        return await start(sys.executable, "-S", "-c", "print(10**6 * 'x'); input()", **options)
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", writes_much)
+
+    errands = Errands()
+    try:
+        with pytest.raises(RigError, match="'recordings' is longer than 10 bytes"):
+            await errands.run("recordings", directory=str(tmp_path), search="", first=0)
+        assert errands._all == set()
+    finally:
+        await errands.close()

@@ -6,8 +6,8 @@ import os
 import socket
 import urllib.error
 import urllib.request
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from rig.extras.console.lease import Lease
 from rig.extras.console.live import Live
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
-from tests.conformance.console import Served, served
+from tests.conformance.console import Page, Served, served
 from tests.conformance.lsl_loop import INFO, HandTurnedLoop
 from tests.conformance.tiers import first_by_default
 from tests.extras.console.console_fakes import Here
@@ -107,24 +107,33 @@ async def test_without_the_token_a_socket_is_closed(tmp_path: Path) -> None:
                 assert closed.value.rcvd.code == 1008
 
 
-async def test_a_running_loop_is_found_and_followed(tmp_path: Path) -> None:
-    loop = HandTurnedLoop(4096, shared=True)
-    loop.ring.put(control_words.PHASE, int(Phase.TRIAL))
+@asynccontextmanager
+async def looking(
+    place: Path, rows: int = 64, **options: Any
+) -> AsyncIterator[tuple[HandTurnedLoop, Served, Page]]:
+    """Serve a console with a page that looks at a loop of this process."""
+    loop = HandTurnedLoop(rows, shared=True, **options)
     with loop.ring:
-        async with served(tmp_path) as console, console.page() as page:
+        async with served(place) as console, console.page() as page:
             await page.ask("look", pid=os.getpid())
-            loop_message = await page.until(lambda page: page.newest("loop"))
-            assert loop_message["experiment"] == INFO["experiment"]
-            for _ in range(5):
-                loop.leave(400, flags=int(RowFlag.INSIDE))
-                await asyncio.sleep(0.005)
-            await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000)
-            state = await page.until(lambda page: (page.newest("state") or {}).get("loop"))
-            assert (state["phase"], state["unseen"], state["ended"]) == ("trial", 0, None)
-            loop.end(reason=1)
-            await page.until(lambda page: (page.newest("state") or {})["loop"]["ended"])
-            rows = sum(frame["points"] * frame["step"] for frame in page.frames if frame["kind"] == "live")
-            assert rows == 2000, "each row once"
+            yield loop, console, page
+
+
+async def test_a_running_loop_is_found_and_followed(tmp_path: Path) -> None:
+    async with looking(tmp_path, 4096) as (loop, _, page):
+        loop.ring.put(control_words.PHASE, int(Phase.TRIAL))
+        loop_message = await page.until(lambda page: page.newest("loop"))
+        assert loop_message["experiment"] == INFO["experiment"]
+        for _ in range(5):
+            loop.leave(400, flags=int(RowFlag.INSIDE))
+            await asyncio.sleep(0.005)
+        await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000)
+        state = await page.until(lambda page: (page.newest("state") or {}).get("loop"))
+        assert (state["phase"], state["unseen"], state["ended"]) == ("trial", 0, None)
+        loop.end(reason=1)
+        await page.until(lambda page: (page.newest("state") or {})["loop"]["ended"])
+        rows = sum(frame["points"] * frame["step"] for frame in page.frames if frame["kind"] == "live")
+        assert rows == 2000, "each row once"
 
 
 NONSENSE: tuple[Any, ...] = (
@@ -158,18 +167,15 @@ async def test_a_loop_that_cannot_be_read_costs_its_scope_and_no_server(
         polled += 1
         raise KeyError("a defect")
 
-    loop = HandTurnedLoop(64, shared=True)
-    with loop.ring:
-        async with served(tmp_path) as console, console.page() as page:
-            monkeypatch.setattr(Followed, "poll", broken)
-            await page.ask("look", pid=os.getpid())
-            trouble = await page.until(lambda page: page.newest("trouble"))
-            assert "a defect" in trouble["message"]
-            await searched(2)
-            assert polled == 1, "it is not looked at again"
-            assert (await page.ask("operate", take=True))["result"] == {"operates": True}
-            await page.ask("stop")
-            assert loop.ring.get(control_words.STOP) == -os.getpid()
+    async with looking(tmp_path) as (loop, _, page):
+        monkeypatch.setattr(Followed, "poll", broken)
+        trouble = await page.until(lambda page: page.newest("trouble"))
+        assert "a defect" in trouble["message"]
+        await searched(2)
+        assert polled == 1, "it is not looked at again"
+        assert (await page.ask("operate", take=True))["result"] == {"operates": True}
+        await page.ask("stop")
+        assert loop.ring.get(control_words.STOP) == -os.getpid()
 
 
 @pytest.mark.parametrize(
@@ -180,12 +186,10 @@ async def test_a_defect_in_the_view_is_reported_and_ends_no_server(
 ) -> None:
     monkeypatch.setattr(where, lambda *_: {}["a defect"])
     monkeypatch.setattr("rig.extras.console.live.DEFECT_S", 0.1)
-    with HandTurnedLoop(64, shared=True).ring:
-        async with served(tmp_path) as console, console.page() as page:
-            await page.ask("look", pid=os.getpid())
-            trouble = await page.until(lambda page: page.newest("trouble"))
-            assert "a defect" in trouble["message"]
-            assert "result" in await page.ask("operate", take=True)
+    async with looking(tmp_path) as (_, _, page):
+        trouble = await page.until(lambda page: page.newest("trouble"))
+        assert "a defect" in trouble["message"]
+        assert "result" in await page.ask("operate", take=True)
 
 
 async def test_a_console_that_cannot_watch_its_runs_ends_with_an_error(
@@ -394,31 +398,28 @@ async def test_a_flood_or_a_long_message_is_cut_off_and_stops_all_the_same(
 
 async def test_a_participants_screen_receives_what_it_shows_and_nothing_else(tmp_path: Path) -> None:
     """The received bytes must not contain the wall of a running loop, which other pages may show."""
-    loop = HandTurnedLoop(4096, shared=True)
-    with loop.ring:
-        async with served(tmp_path) as console, console.page() as page:
-            await page.ask("look", pid=os.getpid())
-            hello = await page.until(lambda page: page.newest("hello"))
-            await page.until(lambda page: page.newest("loop"))
-            async with console.screen(hello["participants"]) as screen:
-                for do, content in (
-                    ("stop", {}), ("session_key", {"key": "1"}), ("session_line", {"text": "x"}),
-                ):  # fmt: skip
-                    assert "result" in await screen.ask(do, **content)
-                for do in ("operate", "run", "experiment", "recordings", "session", "show", "set"):
-                    assert "unknown request" in (await screen.ask(do))["error"]["error"]
-                for _ in range(5):
-                    loop.leave(400)
-                    await asyncio.sleep(0.01)
-                await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000 - 2)
-                assert {one["say"] for one in screen.messages} == {"participant", "answer"}
-                assert screen.frames == []
-                assert screen.newest("participant") == {"say": "participant", "runs": False}
-            for path in ("/live", "/live?x", "/participant", "/participant?x"):
-                token = console.token if path.startswith("/participant") else hello["participants"]
-                async with console.socket(path, token=token) as socket:  # neither opens what is the other's
-                    with pytest.raises(ConnectionClosed):
-                        await socket.recv()
+    async with looking(tmp_path, 4096) as (loop, console, page):
+        hello = await page.until(lambda page: page.newest("hello"))
+        await page.until(lambda page: page.newest("loop"))
+        async with console.screen(hello["participants"]) as screen:
+            for do, content in (
+                ("stop", {}), ("session_key", {"key": "1"}), ("session_line", {"text": "x"}),
+            ):  # fmt: skip
+                assert "result" in await screen.ask(do, **content)
+            for do in ("operate", "run", "experiment", "recordings", "session", "show", "set"):
+                assert "unknown request" in (await screen.ask(do))["error"]["error"]
+            for _ in range(5):
+                loop.leave(400)
+                await asyncio.sleep(0.01)
+            await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 2000 - 2)
+            assert {one["say"] for one in screen.messages} == {"participant", "answer"}
+            assert screen.frames == []
+            assert screen.newest("participant") == {"say": "participant", "runs": False}
+        for path in ("/live", "/live?x", "/participant", "/participant?x"):
+            token = console.token if path.startswith("/participant") else hello["participants"]
+            async with console.socket(path, token=token) as socket:  # neither opens what is the other's
+                with pytest.raises(ConnectionClosed):
+                    await socket.recv()
 
 
 async def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:
@@ -464,21 +465,17 @@ async def test_a_defect_costs_an_answer_and_no_socket(
 
 
 async def test_a_page_that_reads_nothing_delays_no_other(tmp_path: Path) -> None:
-    loop = HandTurnedLoop(1 << 12, shared=True)
-    with loop.ring:
-        async with (
-            served(tmp_path) as console,
-            console.page("a-page-that-reads") as page,
-            console.socket(client="a-stalled-page") as stalled,
-        ):
-            await page.ask("look", pid=os.getpid())
-            await page.until(lambda page: page.newest("loop"))
-            for _ in range(10):
-                loop.leave(300)
-                await asyncio.sleep(0.01)
-            await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 3000 - 2)
-            assert (page.newest("state") or {})["loop"]["unseen"] == 0
-            stalled.transport.abort()  # it would not hear that its closing is agreed to
+    async with (
+        looking(tmp_path, 1 << 12) as (loop, console, page),
+        console.socket(client="a-stalled-page") as stalled,
+    ):
+        await page.until(lambda page: page.newest("loop"))
+        for _ in range(10):
+            loop.leave(300)
+            await asyncio.sleep(0.01)
+        await page.until(lambda page: sum(f["points"] * f["step"] for f in page.frames) >= 3000 - 2)
+        assert (page.newest("state") or {})["loop"]["unseen"] == 0
+        stalled.transport.abort()  # it would not hear that its closing is agreed to
 
 
 async def test_a_page_that_reads_nothing_takes_no_more_memory(
@@ -501,19 +498,16 @@ async def test_a_page_that_reads_nothing_takes_no_more_memory(
 
 
 async def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_path: Path) -> None:
-    loop = HandTurnedLoop(64, shared=True, info={**INFO, "blinded": True})
-    with loop.ring:
-        async with served(tmp_path) as console, console.page() as page:
-            await page.ask("look", pid=os.getpid())
-            loop.leave(50)
-            state = await page.until(
-                lambda page: (page.newest("state") or {}).get("blinded") and page.newest("state")
-            )
-            assert state["loop"] is None
-            assert page.newest("loop") is None
-            assert not [frame for frame in page.frames if frame["points"]]
-            await page.ask("stop")
-            assert loop.ring.get(control_words.STOP) == -os.getpid()
+    async with looking(tmp_path, info={**INFO, "blinded": True}) as (loop, _, page):
+        loop.leave(50)
+        state = await page.until(
+            lambda page: (page.newest("state") or {}).get("blinded") and page.newest("state")
+        )
+        assert state["loop"] is None
+        assert page.newest("loop") is None
+        assert not [frame for frame in page.frames if frame["points"]]
+        await page.ask("stop")
+        assert loop.ring.get(control_words.STOP) == -os.getpid()
 
 
 async def test_a_port_that_is_taken_is_an_error_that_names_it(tmp_path: Path) -> None:
