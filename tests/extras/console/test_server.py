@@ -111,8 +111,9 @@ async def test_without_the_token_a_socket_is_closed(tmp_path: Path) -> None:
 async def looking(
     place: Path, rows: int = 64, **options: Any
 ) -> AsyncIterator[tuple[HandTurnedLoop, Served, Page]]:
-    """Serve a console with a page that looks at a loop of this process."""
+    """Serve a console with a page that looks at a loop of this process, which is in its trial."""
     loop = HandTurnedLoop(rows, shared=True, **options)
+    loop.ring.put(control_words.PHASE, int(Phase.TRIAL))
     with loop.ring:
         async with served(place) as console, console.page() as page:
             await page.ask("look", pid=os.getpid())
@@ -121,7 +122,6 @@ async def looking(
 
 async def test_a_running_loop_is_found_and_followed(tmp_path: Path) -> None:
     async with looking(tmp_path, 4096) as (loop, _, page):
-        loop.ring.put(control_words.PHASE, int(Phase.TRIAL))
         loop_message = await page.until(lambda page: page.newest("loop"))
         assert loop_message["experiment"] == INFO["experiment"]
         for _ in range(5):
