@@ -9,11 +9,8 @@ LOST = -1
 def ages(delays: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the age of the newest sample in each tick, as `sim_backend.bare.trial.run_ticks` takes them.
 
-    Parameters
-    ----------
-    delays
-        Of each sample from the law's first on (ticks, 0 in time), or `LOST`. A line keeps the order: a sample behind
-        a late one is at least as late.
+    `delays` are those of each sample from the law's first on (ticks), or `LOST`. A line keeps the order: a sample
+    behind a late one is at least as late.
     """
     ticks = np.arange(len(delays))
     arrivals = np.maximum.accumulate(np.where(delays == LOST, 0, ticks + delays))

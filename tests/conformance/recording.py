@@ -73,17 +73,7 @@ def example_truth(sample_index: NDArray[np.int64]) -> NDArray[np.void]:
 
 
 def check_recording_format(write: Write, read: Read, limits: Limits) -> None:
-    """Run all checks on one format.
-
-    Parameters
-    ----------
-    write
-        Writes a recording to a new place and returns the place.
-    read
-        Reads what `write` wrote; raises `RecordingError` for what it cannot read.
-    limits
-        What the format cannot do.
-    """
+    """Run all checks on one format; `write` puts a recording in a new place, `read` may raise `RecordingError`."""
     check_every_row_comes_back(write, read, limits)
     check_header_and_trailer_come_back(write, read)
     check_any_columns_come_back(write, read, limits)

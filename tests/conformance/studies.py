@@ -59,22 +59,12 @@ def protocol(**sections: Any) -> dict[str, Any]:
 def hit_outcome(automatic: str = "stable", **changes: Any) -> HitOutcome:
     """Return the outcome of a finished hit without a recording; `changes` replace fields."""
     passes = {"stable": True, "invalid": None}.get(automatic, False)
-    plain: dict[str, Any] = {
-        "recording": "",
-        "sha256": "",
-        "rows_sha256": "",
-        "ended": "finished",
-        "aborted": "",
-        "automatic": automatic,
-        "reasons": (),
-        "outside": (),
-        "by_machine": False,
-        "passes": {"felt": passes, "heard": passes, "any": passes},
-        "numbers": {},
-        "baseline": None,
-        "heat": 0.1,
-    }
-    return HitOutcome(**{**plain, **changes})
+    texts: dict[str, Any] = dict.fromkeys(("recording", "sha256", "rows_sha256", "aborted"), "")
+    plain = {
+        "ended": "finished", "automatic": automatic, "reasons": (), "outside": (), "by_machine": False,
+        "passes": dict.fromkeys(("felt", "heard", "any"), passes), "numbers": {}, "baseline": None, "heat": 0.1,
+    }  # fmt: skip
+    return HitOutcome(**{**texts, **plain, **changes})
 
 
 @contextmanager

@@ -19,26 +19,21 @@ from rig.config import presets
 from rig.core.model import RigModel
 from tests.conformance.started import started
 from tests.firmware.rp2040 import emulator
+from tests.guest import hits
 from tests.guest.absent import GuestAbsentError
 
 RIG = "koul-rigid"
 # A hit with the law on the board; its rate is one that the board's emulator keeps up with, if slowly.
 CHANGES: dict[str, Any] = {
+    **hits.CHANGES,
     "controller.loop": "device",
     "controller.estimator": "fdm-butterworth-fixed",
     "controller.position_rate": 4_000,
     "controller.velocity_rate": 1_000,
-    "controller.parameters": {"cutoff_hz": 100.0},
     "controller.supervise_lifetime_s": 0.1,
     "wall.stiffness": 50.0,
     "wall.damping": 0.05,
-    "homing.settle_s": 0.02,
     "trial.duration_s": 0.2,
-    "trial.release_s": 0.02,
-    "verdict.lowpass_hz": 200.0,
-    "verdict.tail_s": 0.1,
-    "host.realtime": "off",  # what it would lock into memory comes over 9p
-    "host.heartbeat_s": 30.0,
 }
 PORT = "rig.usb"  # name of the virtio port
 FACTS, STATUS = "pico.json", "pico-status.json"  # in the shared directory

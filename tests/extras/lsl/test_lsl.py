@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import time
 import uuid
 from collections.abc import Iterator
@@ -107,12 +108,8 @@ class Inlets:
 
     def units(self) -> dict[str, str]:
         """Return the unit of each channel, from the stream's description."""
-        channel = self.streams["samples"].info(FIND_S).desc().child("channels").child("channel")
-        found = {}
-        while not channel.empty():
-            found[channel.child_value("label")] = channel.child_value("unit")
-            channel = channel.next_sibling()
-        return found
+        described = self.streams["samples"].info(FIND_S).as_xml()
+        return dict(re.findall(r"<label>(.*?)</label>\s*<unit>(.*?)</unit>", described))
 
 
 @pytest.fixture(scope="module")

@@ -175,30 +175,21 @@ def test_pictures_that_fail_cost_the_page_nothing_else(
 
 def test_every_deviation_is_listed(found: Any, page: Any) -> None:
     listed = [(one.participant, one.what, one.detail) for one in deviations(found.study)]
-    kinds = [(code, what) for code, what, _ in listed]
-    assert kinds == [
-        ("P01", "redone"),
-        ("P01", "continued"),
-        ("P01", "recording missing"),
-        ("P02", "stopped"),
-        ("P02", "resumed"),
-        ("P02", "restarted"),
-        ("P03", "amended"),
-        ("P03", "skipped"),
-        ("P03", "ended"),
-    ]
-    details = {what: detail for _, what, detail in listed}
-    holds = {
-        "continued": ("1 min 30 s",),
-        "stopped": ("the operator left",),
-        "resumed": ("1 h 6 min", "trials/t0013.parquet"),
-        "restarted": ("block 1", "11 trials"),
-        "amended": ("“stable” → “unsure”", "the wrong key"),
-        "skipped": ("uniform <i>, B = 0.5 N·m·s/rad",),
-        "ended": ("60 minutes",),
+    holds: dict[tuple[str, str], tuple[str, ...]] = {
+        ("P01", "redone"): (),
+        ("P01", "continued"): ("1 min 30 s",),
+        ("P01", "recording missing"): (),
+        ("P02", "stopped"): ("the operator left",),
+        ("P02", "resumed"): ("1 h 6 min", "trials/t0013.parquet"),
+        ("P02", "restarted"): ("block 1", "11 trials"),
+        ("P03", "amended"): ("“stable” → “unsure”", "the wrong key"),
+        ("P03", "skipped"): ("uniform <i>, B = 0.5 N·m·s/rad",),
+        ("P03", "ended"): ("60 minutes",),
     }
-    for what, parts in holds.items():
-        assert all(part in details[what] for part in parts), details[what]
+    details = {(code, what): detail for code, what, detail in listed}
+    assert [(code, what) for code, what, _ in listed] == list(holds)
+    for key, parts in holds.items():
+        assert all(part in details[key] for part in parts), details[key]
     assert not any("  " in detail or detail.endswith(".") for detail in details.values())
     useless = invalid_trials(found.study)
     assert len(useless) == sum(trial.void == "invalid" for trial in found.trials) + sum(

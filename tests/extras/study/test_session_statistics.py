@@ -551,18 +551,11 @@ STEP = 10.0
 
 def quantised(scatter: float) -> Any:
     """Return runs of six people on a ladder; two of them read `scatter` steps more under the second condition."""
-    rows = [
-        run_row(
-            f"P{n}",
-            name,
-            value=400.0 + 7.0 * STEP * n + (3.0 + scatter * (n // 2 % 2)) * STEP * (name == "b"),
-        )
-        for n in range(6)
-        for name in "ab"
-    ]
-    for number, row in enumerate(rows):
-        limits = {"rule": replace(row.limits["rule"], step=STEP)}
-        rows[number] = replace(row, order=1 + ((number // 2 + number) % 2), limits=limits)
+    rows = []
+    for n, name in itertools.product(range(6), "ab"):
+        steps = 7.0 * n + (3.0 + scatter * (n // 2 % 2)) * (name == "b")
+        row = run_row(f"P{n}", name, value=400.0 + STEP * steps, order=1 + (n + (name == "b")) % 2)
+        rows.append(replace(row, limits={"rule": replace(row.limits["rule"], step=STEP)}))
     return rows
 
 
@@ -601,24 +594,17 @@ def test_repeats_that_scatter_by_rounding_have_the_interval_of_all_verdicts() ->
 
 def test_slopes_are_those_of_least_squares_with_a_mean_for_each_cell_and_their_mean_is_scipys() -> None:
     drawn = np.random.default_rng(4)
-    rows = [
-        trial_row(
-            f"P{p}",
-            condition=c,
-            trial=int(n),
-            response_time_s=math.exp(0.007 * p * n + p + drawn.normal(0.0, 0.3)),
-        )
-        for p in range(4)
-        for c, n in zip("ab" * 10, drawn.permutation(20), strict=True)
-    ]
+    rows = []
+    for p in range(4):
+        for c, n in zip("ab" * 10, drawn.permutation(20), strict=True):
+            seconds = math.exp(0.007 * p * n + p + drawn.normal(0.0, 0.3))
+            rows.append(trial_row(f"P{p}", condition=c, trial=int(n), response_time_s=seconds))
     ordinary = import_module("statsmodels.regression.linear_model").OLS
     theirs = []
     for person in range(4):
         own = [row for row in rows if row.participant == f"P{person}"]
-        design = [[float(row.condition == "a"), float(row.condition == "b"), row.trial] for row in own]
-        theirs.append(
-            ordinary([math.log(row.response_time_s) for row in own], np.array(design)).fit().params[-1]
-        )
+        design = np.array([[row.condition == "a", row.condition == "b", row.trial] for row in own], float)
+        theirs.append(ordinary([math.log(row.response_time_s) for row in own], design).fit().params[-1])
     expected = stats.ttest_1samp(theirs, 0.0)
     found = next(slope for slope in effects.slopes([], rows) if slope.of == "response time")
     assert (found.participants, found.count) == (4, 80)

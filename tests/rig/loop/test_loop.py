@@ -361,14 +361,6 @@ def test_noise_and_strangers_do_not_keep_a_silent_device_alive() -> None:
     assert link.clock.now_ns() <= 32 * PERIOD_NS
 
 
-def test_a_broken_link_ends_the_run_with_its_error_number() -> None:
-    link = Script(*ticks(1, 10), (10 * PERIOD_NS, -errno.EIO))
-    _, end = ran(link)
-    assert (end.reason, end.counters["errno"]) == (EndReason.LINK_CLOSED, errno.EIO)
-    assert end.counters["ticks"] == 9
-    assert_ends_with_stops(link)
-
-
 def test_a_link_that_does_not_take_the_command_is_closed() -> None:
     link = Script(*ticks(1, 10))
     link.write_error = -errno.EPIPE
@@ -397,13 +389,13 @@ def test_a_command_that_does_not_fit_the_wire_is_not_sent() -> None:
     assert link.sent == []
 
 
-def test_the_last_state_before_the_link_broke_is_still_answered() -> None:
+def test_a_broken_link_ends_the_run_with_its_error_number_after_an_answer_to_the_last_state() -> None:
     link = Script(*ticks(1, 10))
-    link.events.append((10 * PERIOD_NS, lambda: None))
-    link.events.append((10 * PERIOD_NS, state_frame(10)))
-    link.events.append((10 * PERIOD_NS, -errno.ENODEV))
+    link.events += [(10 * PERIOD_NS, what) for what in (lambda: None, state_frame(10), -errno.ENODEV)]
     _, end = ran(link)
-    assert (end.reason, end.counters["ticks"]) == (EndReason.LINK_CLOSED, 10)
+    assert (end.reason, end.counters["errno"]) == (EndReason.LINK_CLOSED, errno.ENODEV)
+    assert end.counters["ticks"] == 10
+    assert_ends_with_stops(link)
 
 
 def test_the_stop_word_stops_within_one_period() -> None:
@@ -540,10 +532,12 @@ def test_lateness_beyond_a_period_is_flagged_and_counted() -> None:
     assert end.counters["late"] == 1
 
 
-def test_in_real_time_a_full_ring_drops_rows_and_counts_them() -> None:
+@pytest.mark.parametrize("recorder_error", [0, errno.ENOSPC])
+def test_in_real_time_a_full_ring_drops_rows_and_counts_them(recorder_error: int) -> None:
+    """In virtual time, too, a recorder that failed is not waited for."""
     memory = Ring.allocate(8)
-    link = Script(*ticks(1, 30))
-    _, end = ran(link, memory=memory)
+    memory.put(control_words.RECORDER_ERROR, recorder_error)
+    _, end = ran(Script(*ticks(1, 30)), memory=memory, wait_for_room=recorder_error != 0)
     assert (end.counters["ticks"], end.counters["rows_dropped"]) == (29, 21)
     assert memory.get(control_words.HEAD) == 8
     assert memory.rows["tick"].tolist() == list(range(8))
@@ -573,13 +567,6 @@ def test_in_virtual_time_the_loop_waits_for_the_recorder() -> None:
     thread.join(WAIT_S)
     assert end.counters["rows_dropped"] == 0
     assert seen == list(range(99))
-
-
-def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for() -> None:
-    memory = Ring.allocate(8)
-    memory.put(control_words.RECORDER_ERROR, errno.ENOSPC)
-    _, end = ran(Script(*ticks(1, 30)), memory=memory, wait_for_room=True)
-    assert (end.counters["ticks"], end.counters["rows_dropped"]) == (29, 21)
 
 
 # ---------------------------------------------------------------------- the host's own beat

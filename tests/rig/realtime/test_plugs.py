@@ -5,9 +5,7 @@ import ctypes.util
 from typing import Any
 
 import numpy as np
-import pytest
 from numba import types
-from numba.core.registry import CPUDispatcher
 
 from rig.control import estimators, laws
 from rig.realtime import plugs
@@ -41,13 +39,6 @@ def test_a_third_partys_law_runs_in_a_caller_compiled_before_it_was_known() -> N
     assert ask_law(magnet, 0.5, state, parameters) == -50.0
     assert ask_law(laws.get("spring-damper").function, 0.5, state, parameters) == 50.0
     assert len(ask_law.signatures) == 1
-
-
-def test_a_law_that_was_plugged_in_is_not_looked_up_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    state, parameters = np.zeros(1), np.array([100.0, 0.0, 0.0, 0.0])
-    assert ask_law(magnet, 0.5, state, parameters) == -50.0
-    monkeypatch.setattr(CPUDispatcher, "get_compile_result", lambda *_: pytest.fail("looked up"))
-    assert ask_law(magnet, 0.25, state, parameters) == -25.0
 
 
 def test_a_c_librarys_function_plugs_in_by_its_address() -> None:

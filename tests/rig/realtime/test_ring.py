@@ -103,13 +103,8 @@ def test_a_new_ring_is_empty_and_says_its_layout(shared: bool) -> None:
         assert abs(ring.get(control_words.CREATED) - time.time_ns()) < 60e9
         assert ring.capacity == 10
         assert ring.get(control_words.CREATOR) == os.getpid()
-        named = {
-            control_words.VERSION,
-            control_words.ROW_BYTES,
-            control_words.CREATED,
-            control_words.INFO,
-            control_words.CREATOR,
-        }
+        written = ("VERSION", "ROW_BYTES", "CREATED", "INFO", "CREATOR")
+        named = {getattr(control_words, name) for name in written}
         assert not any(ring.get(word) for word in range(WORDS) if word not in named)
         assert not ring.rows.view(np.uint8).any()
         assert ring.info == {}

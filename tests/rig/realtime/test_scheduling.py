@@ -255,14 +255,9 @@ def run_in_child(
         + textwrap.dedent(body)
         + "\nassert wait_for_state(before, now), (before, now())\nprint(json.dumps(found))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script, json.dumps([group, rtprio, memlock, user])],
-        capture_output=True,
-        text=True,
-        timeout=CHILD_S,
-        check=False,
-        cwd=Path(__file__).parents[3],
-    )
+    command = [sys.executable, "-c", script, json.dumps([group, rtprio, memlock, user])]
+    cwd = Path(__file__).parents[3]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=CHILD_S, check=False, cwd=cwd)
     if done.returncode == 77:
         pytest.skip("this process may not raise its limits (CAP_SYS_RESOURCE)")
     assert done.returncode == 0, done.stderr

@@ -46,31 +46,25 @@ def unchanged() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def in_a_thread(
-    context: Callable[[], Any], during: Callable[[RunSeries], object] = lambda series: None
-) -> Any:
+@contextmanager
+def in_a_thread(context: Callable[[], Any]) -> Iterator[RunSeries]:
     """Enter a context in another thread while this one lasts; yield the other's series of runs."""
+    ready, leave, found = threading.Event(), threading.Event(), []
 
-    @contextmanager
-    def entered() -> Iterator[RunSeries]:
-        ready, leave, found = threading.Event(), threading.Event(), []
+    def body() -> None:
+        with context() as series:
+            found.append(series)
+            ready.set()
+            leave.wait(30)
 
-        def body() -> None:
-            with context() as series:
-                found.append(series)
-                ready.set()
-                leave.wait(30)
-
-        thread = threading.Thread(target=body)
-        thread.start()
-        assert ready.wait(30)
-        try:
-            yield found[0]
-        finally:
-            leave.set()
-            thread.join()
-
-    return entered()
+    thread = threading.Thread(target=body)
+    thread.start()
+    assert ready.wait(30)
+    try:
+        yield found[0]
+    finally:
+        leave.set()
+        thread.join()
 
 
 @pytest.mark.parametrize("context", [stop_requests.run, stop_requests.listening])

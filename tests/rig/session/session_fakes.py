@@ -45,15 +45,10 @@ SHORT_SEARCH: Mapping[str, Any] = {  # one trial
 
 def protocol_of(**sections: Any) -> Protocol:
     """Return a short protocol about koul-rigid; given sections replace the default ones."""
+    search = {"rule": "staircase", "lowest": 100.0, "highest": 600.0, "step": 25.0}
     table: dict[str, Any] = {
         "study": study(),
-        "search": {
-            "rule": "staircase",
-            "lowest": 100.0,
-            "highest": 600.0,
-            "step": 25.0,
-            "settings": {"turns": 2, "most": 8},
-        },
+        "search": {**search, "settings": {"turns": 2, "most": 8}},
         "condition": [
             {"name": "dual-hidden", "scheme": "dual:20k/2k", "damping": [0.37]},
             {"name": "uniform-hidden", "scheme": "uniform:20k", "damping": [0.37]},

@@ -19,7 +19,7 @@ from rig.experiments.hits.hit import HitRequest
 from rig.session.engine import _hits as hits
 from rig.session.engine._arming import arming_checks, refuse_unarmable, walls_of
 from rig.session.engine._check import check
-from rig.session.engine._desk import Desk, Question, Reply
+from rig.session.engine._desk import Desk, Reply
 from rig.session.engine._device_checks import device_checks
 from rig.session.engine._directory import LOG
 from rig.session.engine._hits import DeviceRunner
@@ -28,7 +28,6 @@ from rig.session.engine._run import resume_session, run_session
 from rig.session.engine._runner import RefusedWalls, SessionWall
 from rig.session.engine._telling import line_of_event
 from rig.session.planning._conditions import Walls
-from rig.session.planning._protocol import Protocol
 from rig.session.planning._schedule import levels_of
 from tests.conformance.made_links import link
 from tests.conformance.tiers import first_by_default
@@ -62,13 +61,9 @@ class RealRunner(FakeRunner):
         ]
 
     def hit(self, experiment: Experiment, *more: Any) -> Any:
-        if not self.arm_anyway and experiment.wall.stiffness >= sorted(_levels(protocol_of()))[2]:
+        if not self.arm_anyway and experiment.wall.stiffness >= levels_of(protocol_of().search)[2]:
             raise PlanError("this wall must not be armed")
         return super().hit(experiment, *more)
-
-
-def _levels(protocol: Protocol) -> list[float]:
-    return list(levels_of(protocol.search))
 
 
 def written(directory: Path, blind: str = "both") -> Path:
@@ -103,7 +98,7 @@ def test_a_blinded_operator_sees_how_many_walls_are_refused_and_none_of_them(tmp
 
 
 def test_a_session_is_resumed_with_consent_too_or_not_at_all(tmp_path: Path) -> None:
-    leaves = ScriptedDesk(_abort)
+    leaves = ScriptedDesk(lambda question: Reply(action="abort") if question.kind == "verdict" else None)
     runner = RealRunner(arm_anyway=True)
     run_session(written(tmp_path), "P01", at(leaves), runner=runner, study=tmp_path)
     before = (tmp_path / "P01" / LOG).read_bytes()
@@ -114,15 +109,11 @@ def test_a_session_is_resumed_with_consent_too_or_not_at_all(tmp_path: Path) -> 
     assert again.ended == "complete"
 
 
-def _abort(question: Question) -> Reply | None:
-    return Reply(action="abort") if question.kind == "verdict" else None
-
-
 def test_every_wall_that_a_session_may_ask_for_is_asked_about(tmp_path: Path) -> None:
     protocol = protocol_of(practice={"stiffness": [130.0, 210.0]})
     walls = list(walls_of(Walls(protocol, KOUL)))
     found = {(wall.condition, wall.experiment.wall.stiffness) for wall in walls}
-    levels = _levels(protocol)
+    levels = levels_of(protocol.search)
     expected = {(name, level) for name in ("dual-hidden", "uniform-hidden") for level in levels}
     assert found == expected | {("dual-hidden", 130.0), ("dual-hidden", 210.0)}
     assert {wall.experiment.wall.damping for wall in walls} == {0.37}
@@ -176,19 +167,15 @@ def real_device(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_real_rig_says_what_the_gate_would_say_of_each_wall(real_device: None) -> None:
     protocol = protocol_of(study=study(changes={**study()["changes"], "verdict.lowpass_hz": 400.0}))
     runner = DeviceRunner(url="serial:///dev/rig", verified=True)
-    found = runner.refusals(tuple(walls_of(Walls(protocol, KOUL))))
+    walls = tuple(walls_of(Walls(protocol, KOUL)))
+    found = runner.refusals(walls)
     dual = next(one for one in found if one.condition == "dual-hidden")
     assert dual.walls == 21
     assert dual.stiffness[0] == 100.0  # in a relaxed hand none of them holds
     assert "unstable at 20000 Hz" in dual.text
-    facts = runner.facts(*_first(protocol))
+    facts = runner.facts(walls[0].experiment, walls[0].changes)
     assert facts["armed_anyway"][0]["stiffness"][0] == 100.0
     runner.close()
-
-
-def _first(protocol: Protocol) -> tuple[Experiment, Any]:
-    wall = next(walls_of(Walls(protocol, KOUL)))
-    return wall.experiment, wall.changes
 
 
 def test_a_rig_of_unverified_polarity_is_refused_before_anything_else(real_device: None) -> None:

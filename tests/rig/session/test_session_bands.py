@@ -189,15 +189,10 @@ def test_a_simulated_hand_aims_at_the_middle_whichever_wall_comes_first(walls: W
 
 
 def test_a_rehearsal_keeps_within_the_bands(walls: Walls, tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(STUDY)
-    person = Person(thresholds={})
+    path, person = tmp_path / "study.toml", Person(thresholds={})
+    path.write_text(STUDY)
     result = run_session(
-        tmp_path / "study.toml",
-        "P01",
-        rehearsal_desk(person),
-        runner=DeviceRunner(),
-        study=tmp_path,
-        person=person,
+        path, "P01", rehearsal_desk(person), runner=DeviceRunner(), study=tmp_path, person=person
     )
     trials = [event.content for event in read(tmp_path / "P01" / "session.log") if event.kind == "trial"]
     assert len(trials) == 3

@@ -36,8 +36,6 @@ from tests.rig.session.session_fakes import (
     study,
 )
 
-OFF = {"fastest_verdict_s": 0.0}
-
 
 def run_with(session: Session, runner: FakeRunner, desk: ScriptedDesk) -> SessionState:
     with session:
@@ -264,7 +262,10 @@ def test_a_verdict_faster_than_a_person_is_reported_at_once_and_marked(tmp_path:
     found = analyse([tmp_path])
     assert [row.too_fast for row in found.trials] == [True, False, False, False]
     assert any(one.startswith("1 verdict was given sooner than trial.fastest") for one in found.messages)
-    for name, section in (("automatic", {"study": study(judge="automatic")}), ("off", {"trial": OFF})):
+    for name, section in (
+        ("automatic", {"study": study(judge="automatic")}),
+        ("off", {"trial": {"fastest_verdict_s": 0.0}}),
+    ):
         unmarked = protocol_of(stop={"trials": 4}, **section)
         state = run_with(started(tmp_path / name, unmarked), FakeRunner(), ScriptedDesk(answer))
         assert not any(trial.too_fast for trial in state.trials)

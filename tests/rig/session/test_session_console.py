@@ -34,29 +34,13 @@ from rig.session.terminal._pointer import Pointer
 KEYMAP = KeyMap.of(Keys())
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
 SCALE = {
-    "start": 0.1,
-    "wall": 0.3,
-    "side": 1,
-    "window": [-1.0, 1.0],
-    "effort_limit": 0.4,
-    "speed_limit": 5.0,
-    "position_unit": "rad",
-    "velocity_unit": "rad/s",
-    "effort_unit": "N·m",
-}
+    "start": 0.1, "wall": 0.3, "side": 1, "window": [-1.0, 1.0], "effort_limit": 0.4, "speed_limit": 5.0,
+    "position_unit": "rad", "velocity_unit": "rad/s", "effort_unit": "N·m",
+}  # fmt: skip
 SNAPSHOT = Snapshot(
-    phase="trial",
-    position=0.31,
-    velocity=-0.2,
-    penetration=0.01,
-    effort=0.123,
-    peak_effort=0.2,
-    saturated=False,
-    round_trip_ns=512_000,
-    late=3,
-    lost=1,
-    skipped=0,
-)
+    phase="trial", position=0.31, velocity=-0.2, penetration=0.01, effort=0.123, peak_effort=0.2, saturated=False,
+    round_trip_ns=512_000, late=3, lost=1, skipped=0,
+)  # fmt: skip
 
 
 def make_conversation(question: Question | None = None, view: DeskView | None = None) -> Conversation:
