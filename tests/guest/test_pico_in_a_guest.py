@@ -7,12 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import usb.core
-import usb.util
-from usb.backend import libusb1
 
 from firmware_protocol import messages as m
-from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR
 from rig import config
 from rig.config import presets
 from rig.config.controller import prepare_controller
@@ -20,7 +16,6 @@ from rig.devices import open_device, open_link
 from rig.devices.usb import available_devices
 from rig.experiments.trials import _trial as trial
 from rig.recording.reader import open_recording
-from sim_backend.ends.usb import VENDOR_CLASS
 from tests.conformance.host import Host
 from tests.guest import pico, vhci
 from tests.guest.hits import check_recorded, whole_hit
@@ -42,33 +37,12 @@ def board() -> Iterator[Any]:
         yield made
 
 
-@pytest.fixture
-def opened(board: Any) -> Iterator[Any]:
-    """The emulated board, opened through pyusb."""
-    device = usb.core.find(
-        idVendor=USB_VENDOR,
-        idProduct=USB_PRODUCT,
-        backend=libusb1.get_backend(),
-        custom_match=lambda found: usb.util.get_string(found, found.iSerialNumber) == board.serial,
-    )
-    assert device is not None
-    yield device
-    usb.util.dispose_resources(device)
-
-
 def test_linux_makes_a_serial_port_of_it_and_rig_speaks_there(board: Any) -> None:
     # First, since the vendor interface keeps the link for a second of the board.
     vhci.wait_until("the board has a terminal", lambda: board.tty is not None)
     vhci.settle()
     with open_device(f"serial://{board.tty}") as device:
         assert device.dictionary.device == pico.RIG
-
-
-def test_linux_enumerates_the_firmware(opened: Any) -> None:
-    assert opened.manufacturer == "haptic-rig"
-    assert opened.speed == usb.util.SPEED_FULL
-    interfaces = list(opened.get_active_configuration())
-    assert [interface.bInterfaceClass for interface in interfaces] == [VENDOR_CLASS, 2, 10]
 
 
 def test_rig_finds_it_and_reads_its_dictionary(board: Any) -> None:

@@ -6,9 +6,8 @@ Plans of studies, simulated persons and tests use it. No result of a person depe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,30 +84,6 @@ class Performance:
     def censored(self) -> float:
         """Fraction of simulated sessions with a limit above or below the tested levels of stiffness."""
         return self.above + self.below
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return bias, scatter and all other numbers, with the simulated person, as a dictionary for JSON."""
-        return {**asdict(self), "observer": asdict(self.observer)}
-
-
-def study(
-    rules: Mapping[str, Making],
-    observers: Sequence[Observer],
-    sessions: int,
-    *,
-    seed: int = 0,
-    off_lattice: float = 0.0,
-) -> list[Performance]:
-    """Simulate `sessions` sessions of each observer with each search rule; return the performance of each pair.
-
-    `rules` contains for each name a function that creates the rule from the argument `seed`. In each session the
-    observer's threshold K50 is shifted at random by at most ± `off_lattice` (unit of stiffness).
-    """
-    return [
-        performance(name, make, observer, sessions, seed=seed, off_lattice=off_lattice)
-        for observer in observers
-        for name, make in rules.items()
-    ]
 
 
 def performance(

@@ -281,12 +281,7 @@ def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
     )
     assert found.counts()["in searches stopped at the trial limit"] == len(found.trials)
     taken = analyse([tmp_path], AnalysisOptions(include_marked=True))
-    assert {one.marked for one in taken.of_participants if one.measure == "rule"} <= {0, 1}
     assert any(one.marked for one in taken.over_participants)
-    assert any(
-        "6 runs were stopped at the trial limit (search.settings.most), included" in message
-        for message in taken.messages
-    )
     write_study_tables(taken, tmp_path / "out")
     runs = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
     assert {row["state"] for row in runs} == {"ended by most"}

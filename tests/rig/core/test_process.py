@@ -1,6 +1,7 @@
-"""Helper processes end when they are closed or their parent ends, and do not change the parent."""
+"""Helper processes end with their context or parent; programs start from where they are installed."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,12 +9,15 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rig.core.child import find_program
 from rig.core.errors import DeviceNotFoundError, RigError
 from rig.core.process import start_announced
+from rig.realtime._c_library import CLibrary
 from tests.conformance.started import is_alive, started
 
 WAIT_S = 50.0
@@ -85,3 +89,42 @@ def test_an_error_in_the_process_is_raised_here_and_an_early_end_is_named() -> N
         start_announced(os._exit, name="ends", by_hand="rig ends"),
     ):
         pass
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script is no program there")
+@pytest.mark.parametrize("entry", ["", ".", "inside"])
+def test_a_program_of_the_working_directory_is_not_found_by_its_name(
+    entry: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "inside").mkdir()
+    for program in (place / name for place in (tmp_path, tmp_path / "inside") for name in ("sh", "cc-here")):
+        program.write_text("#!/bin/sh\n")
+        program.chmod(0o755)
+    installed = shutil.which("sh")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", os.pathsep.join([entry, os.environ["PATH"]]))
+    assert shutil.which("cc-here") is not None
+    assert find_program("cc-here") is None
+    assert find_program("sh") == installed
+    assert find_program("./cc-here") == "./cc-here"  # a path is used as it is
+    monkeypatch.setenv("PATH", entry)
+    assert find_program("sh") is None
+
+
+@pytest.mark.skipif(
+    sys.platform == "win32" or shutil.which("cc") is None, reason="a script as linker of a cc"
+)
+def test_a_compiler_runs_no_linker_of_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("cc", "gcc", "clang", "as", "ld", "collect2"):
+        (tmp_path / name).write_text(f"#!/bin/sh\ntouch {tmp_path}/ran\nexit 1\n")
+        (tmp_path / name).chmod(0o755)
+    (tmp_path / "sources").mkdir()
+    (tmp_path / "sources" / "one.c").write_text("int one(void) { return 1; }\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", os.pathsep.join(["", ".", os.environ["PATH"]]))
+    made = CLibrary(name="one", root=tmp_path, parts=("sources",), purpose="for a test").compiled(tmp_path)
+    assert made.exists()
+    assert not (tmp_path / "ran").exists()

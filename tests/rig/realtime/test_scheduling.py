@@ -19,8 +19,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import Realtime, Rights, ThreadState, facts, obtained, refusals
@@ -401,33 +399,3 @@ def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path: Pat
 )
 def test_kinds_of_preemption(tmp_path: Path, version: str, extra: Any, kind: str) -> None:
     assert facts.preemption(tree(tmp_path, proc__sys__kernel__version=version, **extra)) == kind
-
-
-@given(st.sets(st.integers(0, 300)))
-def test_processor_lists_are_read_as_the_kernel_writes_them(cpus: Any) -> None:
-    runs: list[list[int]] = []
-    for cpu in sorted(cpus):
-        if runs and cpu == runs[-1][-1] + 1:
-            runs[-1].append(cpu)
-        else:
-            runs.append([cpu])
-    text = ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
-    assert facts.cpu_list(text) == cpus
-
-
-def test_locked_mappings_are_read_from_smaps() -> None:
-    smaps = textwrap.dedent(
-        """\
-        7f00-7f10 rw-p 00000000 00:00 0
-        Locked:               16 kB
-        VmFlags: rd wr mr mw me lo lf
-        7f10-7f20 rw-p 00000000 00:00 0    [stack]
-        VmFlags: rd wr mr mw me
-        7f20-7f30 r--p 00000000 00:00 0    /lib/lo-lo.so
-        VmFlags: rd mr lo
-        """
-    )
-    assert memory.locked_ranges(smaps) == [
-        memory.LockedRange(0x7F00, 0x7F10, True),
-        memory.LockedRange(0x7F20, 0x7F30, False),
-    ]

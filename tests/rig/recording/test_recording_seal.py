@@ -172,15 +172,6 @@ def test_truth_is_joined_by_sample_index(capture: Path, recording: Recording) ->
         assert found.column(name).tobytes() == recording.column(name).tobytes()
 
 
-def test_the_trailer_can_grow(capture: Path) -> None:
-    found = open_recording(
-        sealed_file(capture, judge=lambda _: {"verdict": {"ripple": np.float64(0.1), "stable": True}})
-    )
-    assert found.trailer is not None
-    assert found.trailer["verdict"] == {"ripple": 0.1, "stable": True}
-    assert found.trailer["reason"] == "finished"
-
-
 def test_a_capture_cut_off_is_sealed_with_its_losses(capture: Path) -> None:
     capture.write_bytes(capture.read_bytes()[:-3000])
     before = open_recording(capture)

@@ -304,12 +304,6 @@ def test_law_on_the_device_has_no_command_stages() -> None:
     assert json.loads(json.dumps(plain(summary)))["loop"] == "device"
 
 
-def test_a_law_on_the_host_has_no_execution_time_of_a_device() -> None:
-    found = summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS), None)
-    assert (found.loop, found.execution_ns) == ("host", None)
-    assert summarise(ledger(rows_of_batches(clock())[:0], None, PERIOD_NS, "device"), None).execution_ns == 0
-
-
 @pytest.mark.parametrize("confidence", [CONFIDENCE, 0.975])
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99, 0.999])
 @pytest.mark.parametrize("number", [1, 2, 5, 20, 58, 59, 298, 299, 1000, 2994, 2995, 5000])

@@ -1,13 +1,11 @@
 """The guide's numbers for search rules: in the stored table of 1000 sessions, and in a few sessions simulated again."""
 
 import math
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import pytest
 
-from rig.session import search
-from rig.session.search._observer import Observer, study
 from tests.benchmarks import observers
 
 TABLE = observers.read_table()
@@ -86,13 +84,3 @@ def test_a_limit_beyond_the_levels_is_marked_where_it_is_and_nowhere_else() -> N
             assert row["censored"] <= 0.002, (name, lapse_rate, spread)
     now = observers.beyond_of(("psi", 0.05, 15.0), sessions=10)
     assert now["marked"] == marked["psi", 0.05, 15.0] == 1.0
-
-
-def test_a_study_follows_from_its_seed_and_separates_observers() -> None:
-    make = {"psi": partial(search.make, "psi", levels=observers.LEVELS, hits=8)}
-    people = [Observer(threshold=threshold, spread=15.0) for threshold in (300.0, 600.0)]
-    found = study(make, people, sessions=4, seed=5, off_lattice=12.5)
-    assert found == study(make, people, sessions=4, seed=5, off_lattice=12.5)
-    assert [one.observer for one in found] == people
-    assert all(one.hits == 8 for one in found)
-    assert found[0].as_mapping()["observer"]["threshold"] == 300.0
