@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -238,14 +237,12 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
     whole = " ".join(paragraphs.values())
     assert {"in skipped searches", "in unfinished searches", "practice", "redone", "restarted"} <= set(counts)
     assert not re.search(r"\bnan\b|None|\{|\}|  |\.\.| [.,;:)]|\( ", whole)
-    keys = {*parameters(), *(f"{section}.{key}" for section, key in protocol_keys())}
-    assert not [key for key in keys if re.search(rf"\b{re.escape(key)}\b", whole)]
-
-
-def protocol_keys() -> Iterator[Any]:
+    keys = set(parameters())
     for section, values in make_protocol().items():
-        for one in values if isinstance(values, list) else [values]:
-            yield from ((section, key) for key in one)
+        keys |= {
+            f"{section}.{key}" for one in (values if isinstance(values, list) else [values]) for key in one
+        }
+    assert not [key for key in keys if re.search(rf"\b{re.escape(key)}\b", whole)]
 
 
 @pytest.mark.parametrize(

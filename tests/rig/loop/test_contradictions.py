@@ -43,9 +43,9 @@ LIES: dict[str, tuple[Contradiction, dict[str, Any]]] = {
 
 
 def lied(index: int, lie: dict[str, Any]) -> bytes:
-    told = {name: value(index) for name, value in lie.items()}
-    age = {"command_age": 1} if "command_sequence" in told else {}
-    return state_frame(index, **age, **told)
+    fields = {name: value(index) for name, value in lie.items()}
+    age = {"command_age": 1} if "command_sequence" in fields else {}
+    return state_frame(index, **age, **fields)
 
 
 @pytest.mark.parametrize("name", LIES)

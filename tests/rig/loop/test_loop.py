@@ -595,18 +595,12 @@ def test_a_tick_without_a_fresh_sample_steps_no_law_and_sends_nothing() -> None:
     assert thread.ring.rows["elapsed_ticks"][:10].tolist() == [1] * 10
 
 
-def busy(link: Any, duration_ns: Any) -> Any:
-    return lambda: link.clock.sleep_until(link.clock.now_ns() + duration_ns)
-
-
 def link_with_pause(duration_ns: Any) -> Any:
     """Return a far end with thirty samples whose host pauses for a while after the tenth tick."""
-    link = Script()
-    link.events = sorted(
-        [*((at + 1, frame) for at, frame in ticks(0, 30)), (9 * PERIOD_NS + 2, None)],
-        key=lambda event: event[0],
+    link = Script(*((at + 1, frame) for at, frame in ticks(0, 30)))
+    link.events.insert(
+        10, (9 * PERIOD_NS + 2, lambda: link.clock.sleep_until(link.clock.now_ns() + duration_ns))
     )
-    link.events = [(at, busy(link, duration_ns) if what is None else what) for at, what in link.events]
     return link
 
 

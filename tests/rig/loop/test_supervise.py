@@ -163,12 +163,8 @@ def test_columns_that_a_batch_lacks_come_from_the_newest_state() -> None:
 # ---------------------------------------------------------------------- faults of frames
 
 
-def damaged(frame: bytes) -> bytes:
-    return frame[:20] + bytes([frame[20] % 255 + 1]) + frame[21:]
-
-
 MANGLED = {
-    "damage": lambda held, frame: [damaged(frame)],
+    "damage": lambda held, frame: [frame[:20] + bytes([frame[20] % 255 + 1]) + frame[21:]],
     "drop": lambda held, frame: [],
     "duplicate": lambda held, frame: [frame, frame],
     "truncate": lambda held, frame: [frame[:30]],  # runs into the next one

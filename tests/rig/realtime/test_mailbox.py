@@ -48,11 +48,6 @@ def slots_of(state: int) -> tuple[int, int, int]:
     return state & 3, state >> 2 & 3, state >> 4 & 3
 
 
-def expected(number: int, count: int) -> list[float]:
-    """Return the values of a set by its number; no two sets share a value."""
-    return [number + i / 128 for i in range(count)]
-
-
 def take_numbers(address: int, into: np.ndarray) -> int:
     return int(take(address, into.view(np.uint8)))
 
@@ -254,7 +249,7 @@ def test_two_threads_hammer_the_mailbox_without_the_gil() -> None:
     assert results == [times]  # the last one arrived
     assert (torn, old) == (0, 0)
     assert 1 <= sets <= times
-    assert into.tolist() == expected(times, SET_FLOATS)
+    assert into.tolist() == [times + i / 128 for i in range(SET_FLOATS)]
 
 
 def test_many_writers_in_threads_get_numbers_of_their_own() -> None:

@@ -31,10 +31,7 @@ def log(path: Path, times: Any, counts: Any, *, head: str = "t,c", line: str = "
     return path
 
 
-def decimal_comma(times: Any) -> list[str]:
-    return [f"{one:.4f}".replace(".", ",") for one in times]
-
-
+COMMAS = [f"{one:.4f}".replace(".", ",") for one in TIME_S]
 DATES = np.datetime_as_string(
     np.datetime64("2026-01-01T08:00") + np.round(1e9 * TIME_S).astype("m8[ns]"), "us"
 )
@@ -45,7 +42,7 @@ DIALECTS: dict[str, tuple[Any, dict[str, Any], dict[str, Any]]] = {
     "ms, whole": (np.arange(N) + 10**7, {}, {"time_unit": "ms"}),
     "µs": (1e6 * TIME_S, {}, {"time_unit": "us"}),
     "ns of the epoch": (1_766_000_000_000_000_000 + 10**6 * np.arange(N), {}, {"time_unit": "ns"}),
-    "semicolons, decimal commas": (decimal_comma(TIME_S), {"head": "t;c", "line": "{};{}"}, {}),
+    "semicolons, decimal commas": (COMMAS, {"head": "t;c", "line": "{};{}"}, {}),
     "tabs, comments, a byte order mark": (
         TIME_S,
         {"head": "\ufeff# logger 7\n% 1 kHz\nt\tc", "line": "{}\t{}"},

@@ -17,7 +17,6 @@ from rig.control.verdict import Objection
 from rig.core.errors import GuardError
 from rig.core.present import plain
 from rig.session.engine._conduct import conduct
-from rig.session.engine._desk import DeskView
 from rig.session.engine._run import summary
 from rig.session.planning._reasons import HIDDEN, RIG_LIMIT, summarise_reasons
 from tests.rig.session.session_fakes import (
@@ -73,10 +72,6 @@ def invalid(*objections: Objection, **more: Any) -> dict[str, Any]:
     return {**INVALID, "reasons": [reason(one) for one in objections], **more}
 
 
-def views_after(desk: ScriptedDesk, trial: int) -> list[DeskView]:
-    return [view for view in desk.views if view.last.startswith(f"trial {trial}:")]
-
-
 @pytest.mark.parametrize("blind", ["both", "participant"])
 def test_the_reason_is_shown_before_any_question(tmp_path: Path, blind: str) -> None:
     desk = ScriptedDesk()
@@ -85,7 +80,7 @@ def test_the_reason_is_shown_before_any_question(tmp_path: Path, blind: str) -> 
     with started(tmp_path / "P01", protocol) as session:
         conduct(session, runner, desk)
         result = summary(session.directory, session.state)
-    first = views_after(desk, 1)[0]
+    first = next(view for view in desk.views if view.last.startswith("trial 1:"))
     if blind == "both":
         assert first.last == (
             "trial 1: invalid, will be repeated: the hand left the wall before the end and did not come back: ask to "
