@@ -11,7 +11,6 @@ from firmware_protocol.connection import State
 from firmware_protocol.errors import LocalProtocolError
 from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.framing import ENCODED_LIMIT
-from firmware_protocol.header import CORE, FILES
 from firmware_protocol.messages import Message, Mode
 from firmware_protocol.parameters import BY_NAME
 from rig.core.model import RigModel
@@ -46,15 +45,6 @@ class Board(supervised.Board):
 def seen(state: m.State | None) -> m.State:
     assert state is not None
     return state
-
-
-# ---------------------------------------------------------------------- instances
-
-
-def test_the_generated_files_are_fresh() -> None:
-    for path, text in FILES.items():
-        assert path.read_text(encoding="utf-8") == text(), "run python -m firmware_protocol.codegen"
-    assert {path.parent for path in FILES} == {CORE}
 
 
 # ---------------------------------------------------------------------- time
@@ -233,16 +223,6 @@ def test_an_old_edge_never_looks_fresh(library: ctypes.CDLL) -> None:
     assert (state.device_time - state.edge_time) & 0xFFFFFFFF == m.OLDEST_EDGE
 
 
-def test_the_age_of_a_command_saturates(library: ctypes.CDLL) -> None:
-    board = Board(library).begin()
-    board.tick(50)
-    for _ in range(RATE // 10):
-        state = seen(board.tick())
-    assert state.fault == Fault.LINK_LOST
-    state = seen(board.tick(missed=70_000))  # a device that is not armed may miss ticks
-    assert state.command_age == 0xFFFF
-
-
 # ---------------------------------------------------------------------- hardware
 
 
@@ -287,13 +267,6 @@ def test_a_board_whose_timer_cannot_do_its_own_rate_says_so_at_once(library: cty
     board.library.host_refuse_rate(board.core.address, 1_000)
     board.library.host_restart(board.core.address)
     assert (board.core.status.state, board.core.status.fault) == (State.FAULT, Fault.INTERNAL)
-
-
-@pytest.mark.parametrize("current", [32_767, -32_767])
-def test_a_board_without_narrower_limits_takes_every_current(library: ctypes.CDLL, current: int) -> None:
-    board = Board(library, rotary_rig(effort_limit=10.0)).begin(current_limit=32_767)
-    board.tick(current)
-    assert board.core.status.current == current
 
 
 # ---------------------------------------------------------------------- the link
