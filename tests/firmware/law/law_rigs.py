@@ -5,10 +5,15 @@ import numpy as np
 from rig import config
 from rig.config import Experiment, controller, presets
 from rig.control.step import ControllerState
+from rig.core.sample import RowFlag
 from sim_backend.bare import trial
 from sim_backend.mechanics.plant import DiscretePlant
 
 START = -0.015
+FLAGS_OF_THE_HOST = (
+    RowFlag.LATE | RowFlag.GAP | RowFlag.NONFINITE | RowFlag.ENERGY | RowFlag.VIOLENT | RowFlag.UNMOVED
+)
+FLAGS_OF_THE_HOST |= RowFlag.CURRENT_FOLLOWS | RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT
 SHORT = {"trial.duration_s": 0.06, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.02}
 DUAL = {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000}
 UNIFORM = {"controller.position_rate": 20_000, "controller.velocity_rate": 20_000}
