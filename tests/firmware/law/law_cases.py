@@ -2,12 +2,22 @@
 
 import ctypes as ct
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
 from rig.control.excitation_table import ExcitationTable
 from tests.conformance.fixed_law import GoldenVectors, golden_vectors
-from tests.firmware.law.law_design import ELSEWHERE, ESTIMATORS, FIXED, FLOAT, OWN, copy_wall, parameters_of
+from tests.firmware.law.law_design import (
+    ELSEWHERE,
+    ESTIMATORS,
+    FIXED,
+    FLOAT,
+    OWN,
+    copy_filter,
+    copy_wall,
+    parameters_of,
+)
 from tests.firmware.law.law_library import Parameters, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, controller_of, experiment_of
 
@@ -26,9 +36,7 @@ def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
     w, f = p.fixed_wall, vectors.filter
     w.trial_slew = w.homing_slew = 2**31 - 1
     w.speed_limit, w.home_shift = 2**31 - 1, 1
-    for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
-        setattr(p.biquad, name, getattr(f, name))
-    p.biquad.state_bits, p.biquad.word_bits = f.state.fraction_bits, f.state.word_bits
+    copy_filter(p, f)
     return p
 
 
@@ -46,56 +54,40 @@ def excited(arithmetic: int, excitation: ExcitationTable) -> ct.Structure:
 # In the order of law_verdict: what must be refused.
 BREAKS = {
     "choice": [
-        ("estimator", 8),
-        ("estimator", 3),
-        ("arithmetic", 3),
-        ("sense", 0),
-        ("extrapolate", 1),
-        ("may_pull", 2),
+        ("estimator", 8), ("estimator", 3), ("arithmetic", 3), ("sense", 0), ("extrapolate", 1), ("may_pull", 2),
     ],
     "rate": [("velocity_divider", 0), ("velocity_divider", 2**17), ("slow_multiple", 0)],
     "limit": [
-        ("current_limit", -1),
-        ("current_limit", 32768),
-        ("release_ticks", 0),
-        ("home_step", -1),
-        ("home_target", 2**60),
-        ("window_maximum", -(2**31)),
+        ("current_limit", -1), ("current_limit", 32768), ("release_ticks", 0), ("home_step", -1),
+        ("home_target", 2**60), ("window_maximum", -(2**31)),
     ],
     "filter": [
-        ("biquad.word_bits", 33),
-        ("biquad.rounding", 3),
-        ("biquad.state_bits", -1),
-        ("biquad.coefficient_bits", 31),
+        ("biquad.word_bits", 33), ("biquad.rounding", 3), ("biquad.state_bits", -1), ("biquad.coefficient_bits", 31),
     ],
     "wall": [
-        ("fixed_wall.shift", 41),
-        ("fixed_wall.stiffness", -1),
-        ("fixed_wall.constant", 2**63 - 1),
-        ("fixed_wall.constant", -(2**63)),
-        ("fixed_wall.direction", 0),
-        ("fixed_wall.trial_slew", -1),
+        ("fixed_wall.shift", 41), ("fixed_wall.stiffness", -1), ("fixed_wall.constant", 2**63 - 1),
+        ("fixed_wall.constant", -(2**63)), ("fixed_wall.direction", 0), ("fixed_wall.trial_slew", -1),
     ],
     "excitation": [("excitation.lines", 4097), ("excitation.lines", 1)],
-}
+}  # fmt: skip
 BROKEN_FLOATS = (
-    ("fdm-butterworth", "low_pass.sections", 5),
-    ("foaw-end", "foaw.limit", 65),
-    ("levant", "levant.discretisation", 3),
-    ("fdm", "wall.side", 0.5),
-    ("fdm", "wall.stiffness", float("nan")),
-    ("fdm", "wall.trial_slew", float("nan")),
-    ("fdm", "wall.passive_damping", float("nan")),
-    ("fdm", "estimated_position", 1),
-)
+    ("fdm-butterworth", "low_pass.sections", 5), ("foaw-end", "foaw.limit", 65), ("levant", "levant.discretisation", 3),
+    ("fdm", "wall.side", 0.5), ("fdm", "wall.stiffness", float("nan")), ("fdm", "wall.trial_slew", float("nan")),
+    ("fdm", "wall.passive_damping", float("nan")), ("fdm", "estimated_position", 1),
+)  # fmt: skip
+
+
+def set_field(p: ct.Structure, field: str, value: float) -> None:
+    """Set a field, with dots for its owners."""
+    owner, _, name = field.rpartition(".")
+    setattr(getattr(p, owner) if owner else p, name, value)
 
 
 def broken(field: str, value: int) -> ct.Structure:
-    """Return golden parameters with one field (dots for its owners) set to an invalid value."""
+    """Return golden parameters with one field set to an invalid value."""
     p = golden_parameters(golden_vectors(1))
     p.window_minimum += field == "window_maximum"
-    owner, _, name = field.rpartition(".")
-    setattr(getattr(p, owner) if owner else p, name, value)
+    set_field(p, field, value)
     return p
 
 
@@ -145,12 +137,12 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
     elsewhere.arithmetic = ELSEWHERE
     good.append(elsewhere)
     good.append(of_estimator("fdm-butterworth", order=3))
-    others: tuple[dict[str, float | str], ...] = (
-        {"cutoff_hz": 900.0},
-        {"cutoff_hz": 20.0, "coefficient_bits": 20},
-        {"rounding": "floor"},
-    )  # the other short cuts of the low pass
-    good += [of_estimator("fdm-butterworth-fixed", **settings) for settings in others]
+    low_pass = partial(of_estimator, "fdm-butterworth-fixed")  # the other short cuts of the low pass
+    good += [
+        low_pass(cutoff_hz=900.0),
+        low_pass(cutoff_hz=20.0, coefficient_bits=20),
+        low_pass(rounding="floor"),
+    ]
     for arithmetic, phases in ((FIXED, "schroeder"), (FLOAT, "hashed")):
         table = ExcitationTable(2, 1, 498, 1000, 2**30, ramp=9, phases=phases, bits=arithmetic)
         p = excited(arithmetic, table)
@@ -180,8 +172,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
     yield short, wild(10)
     for name, field, value in BROKEN_FLOATS:
         p = of_estimator(name)
-        owner, _, last = field.rpartition(".")
-        setattr(getattr(p, owner) if owner else p, last, value)
+        set_field(p, field, value)
         yield p, wild(3)
     for _ in range(600):
         noise = bytearray(good[int(random.integers(len(good)))])

@@ -10,6 +10,7 @@ from typing import Any
 from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.parameter import Value
 from rig.config import device_law
+from rig.control._fixed_point import Biquad
 from rig.control._fixed_wall import FixedWall
 from rig.control.estimators.estimator import PERIOD, RESOLUTION, Prepared
 from rig.control.on_device._estimators import ESTIMATORS, estimator_parameters
@@ -24,12 +25,8 @@ ARITHMETICS = ("fixed", "float32")
 SECTIONS = 4
 # Where a parameter's name differs from the structure's: the beginning of it, and the structure inside.
 _PARTS = {f"{name}_": name for name in ("biquad", "foaw", "levant", "two_mass", "excitation")}
-_OF_KALMAN = {
-    "kalman_position": "gain_position",
-    "kalman_velocity": "gain_velocity",
-    "kalman_acceleration": "gain_acceleration",
-    "kalman_input": "input",
-}
+_OF_KALMAN = {f"kalman_{name}": f"gain_{name}" for name in ("position", "velocity", "acceleration")}
+_OF_KALMAN["kalman_input"] = "input"
 _SAME = [
     "estimator", "extrapolate", "bilateral", "slow_multiple", "settle_ticks", "home_timeout_ticks", "trial_ticks",
     "release_ticks", "home_minimum", "home_maximum", "velocity_divider", "current_limit", "free_ticks", "free_minimum",
@@ -40,10 +37,8 @@ _SAME = [
 def values_of(controller: ControllerState, arithmetic: int = FLOAT) -> dict[str, Value]:
     """Return the parameters that a host sends for a controller."""
     c = controller.control[0]
-    limits = {
-        "reference_count": int(c["reference_count"]),
-        "current_limit": round(c["effort_limit"] / c["effort_quantum"]),
-    }
+    limits = {"current_limit": round(c["effort_limit"] / c["effort_quantum"])}
+    limits["reference_count"] = int(c["reference_count"])
     return device_law.law_parameters(controller, ARITHMETICS[arithmetic]) | limits
 
 
@@ -69,13 +64,12 @@ def structure_of(values: Mapping[str, Value], sense: int) -> ct.Structure:
         **{name: v[name] for name in _SAME},
     )
     set_estimator_values(p, v)
-    w = p.wall
+    w, f = p.wall, p.fixed_wall
     w.side, w.surface_whole, w.surface_fraction = (
         v["wall_side"],
         v["float_surface"],
         v["float_surface_fraction"],
     )
-    f = p.fixed_wall
     f.side, f.direction = v["wall_side"], v["wall_side"] * sense
     for name, value in v.items():
         if name.startswith("float_") and not name.startswith("float_surface"):
@@ -116,6 +110,13 @@ def set_estimator(p: ct.Structure, prepared: Prepared) -> None:
     if "biquad_state_bits" in values:
         values["float_velocity_lsb"] = 2.0 ** -int(values["biquad_state_bits"])
     set_estimator_values(p, values)
+
+
+def copy_filter(p: Any, filter_: Biquad) -> None:
+    """Set the fields of `rig.control._fixed_point.Biquad`."""
+    for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
+        setattr(p.biquad, name, getattr(filter_, name))
+    p.biquad.state_bits, p.biquad.word_bits = filter_.state.fraction_bits, filter_.state.word_bits
 
 
 def copy_wall(p: Any, wall: FixedWall) -> None:

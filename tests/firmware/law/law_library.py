@@ -110,11 +110,8 @@ State = _structure(
     (i32, "limited_fixed"),
     (f32, "limited velocity velocity_sampled velocity_slope"),
     (i32, "velocity_fixed"),
-    (
-        u32,
-        "window since velocity_ticks sampled phase phase_ticks rest_ticks contact_ticks release_share release_rest",
-    ),
-    (u32, "release_step release_step_rest"),
+    (u32, "window since velocity_ticks sampled phase phase_ticks rest_ticks contact_ticks"),
+    (u32, "release_share release_rest release_step release_step_rest"),
     (i32, "previous travel"),
     (u32, "flags"),
     (Memory, "of"),
@@ -124,18 +121,10 @@ Input = _structure("Input", (i32, "count"), (u32, "elapsed_ticks"), (i32, "activ
 Output = _structure("Output", (i32, "current"), (u32, "flags phase"))
 
 INPUTS = np.dtype([("count", "<i4"), ("elapsed_ticks", "<u4"), ("active", "<i4")])
-# what the driver leaves of a tick
-TICKS = np.dtype(
-    [
-        ("current", "<i4"),
-        ("flags", "<u4"),
-        ("phase", "<u4"),
-        ("velocity", "<f4"),
-        ("limited", "<f4"),
-        ("velocity_fixed", "<i4"),
-        ("window", "<u4"),
-    ]
-)
+TICKS = np.dtype([  # what the driver leaves of a tick
+    ("current", "<i4"), ("flags", "<u4"), ("phase", "<u4"), ("velocity", "<f4"), ("limited", "<f4"),
+    ("velocity_fixed", "<i4"), ("window", "<u4"),
+])  # fmt: skip
 
 
 def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarray | int = 1) -> np.ndarray:

@@ -173,45 +173,31 @@ def test_a_set_of_the_mailbox_becomes_live_parameters() -> None:
         device_law.live_parameters(armed, "float32", [*numbers[:-1], 1.0])
 
 
-REFUSED = {
-    "an estimator": (
-        {"estimator": "period"},
-        r'controller.estimator = "period".*does not have this estimator',
-        "kalman",
-    ),
-    "optimal": ({"estimator": "optimal"}, r'controller.estimator = "optimal"', "foaw-best"),
-    "a recursive gain": ({"estimator": "kalman"}, r'parameters.gain = "recursive"', 'gain = "steady"'),
-    "the literal line": (
+FIXED = "fdm-butterworth-fixed"
+REFUSED = [
+    ({"estimator": "period"}, r'controller.estimator = "period".*does not have this estimator', "kalman"),
+    ({"estimator": "optimal"}, r'controller.estimator = "optimal"', "foaw-best"),
+    ({"estimator": "kalman"}, r'parameters.gain = "recursive"', 'gain = "steady"'),
+    (
         {"estimator": "foaw-best", "parameters": {"anchor": "literal"}},
         r'parameters.anchor = "literal"',
         '"lsq"',
     ),
-    "long words": (
-        {"estimator": "fdm-butterworth-fixed", "parameters": {"word_bits": 40}},
-        "parameters.word_bits = 40",
-        "choose 32 or less",
-    ),
-    "integers of another": (
-        {"arithmetic": "fixed"},
-        "fdm-butterworth does not exist in integers",
-        "fdm-butterworth-fixed",
-    ),
-    "prediction in integers": (
-        {"estimator": "fdm-butterworth-fixed", "prediction": "extrapolate"},
+    ({"estimator": FIXED, "parameters": {"word_bits": 40}}, "parameters.word_bits = 40", "choose 32 or less"),
+    ({"arithmetic": "fixed"}, "fdm-butterworth does not exist in integers", "fdm-butterworth-fixed"),
+    (
+        {"estimator": FIXED, "prediction": "extrapolate"},
         r'controller.prediction = "extrapolate"',
         '"float32"',
     ),
-    "friction": (
-        {"friction_compensation": 0.5},
-        "controller.friction_compensation",
-        "friction_compensation to 0",
-    ),
-}
+    ({"friction_compensation": 0.5}, "controller.friction_compensation", "friction_compensation to 0"),
+]
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_unsupported_option_is_refused_with_key_value_and_remedy(case: Any) -> None:
-    changes, message, remedy = REFUSED[case]
+@pytest.mark.parametrize(("changes", "message", "remedy"), REFUSED)
+def test_unsupported_option_is_refused_with_key_value_and_remedy(
+    changes: Any, message: str, remedy: str
+) -> None:
     given_ = {f"controller.{key}": value for key, value in {"loop": "device", **changes}.items()}
     x = config.override(PRESETS["koul-rigid"], given_)
     with pytest.raises(PlanError, match=message) as refused:

@@ -13,7 +13,7 @@ from rig.control.estimators.arrays import run
 from tests.conformance.estimator import REQUIRED
 from tests.conformance.fixed_law import ExactFilter, golden_vectors
 from tests.conformance.tiers import first_by_default
-from tests.firmware.law.law_design import FLOAT, scale_of, set_estimator
+from tests.firmware.law.law_design import FLOAT, copy_filter, scale_of, set_estimator
 from tests.firmware.law.law_library import Parameters, inputs
 
 EPS = 2.0**-24  # half a unit in the last place of float32, relative
@@ -122,9 +122,8 @@ def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, outp
         error, integrator = state.of.levant.error, state.of.levant.integrator = prepared.state_f.tolist()
         prepared.state_f[:] = state.of.levant.error, state.of.levant.integrator  # as float32 has them
         law.tick(state, p, np.int64(count).astype(np.int32).item(), periods)
-        host = (
-            update(count, 0.0, periods, 0.0, prepared.state_f, prepared.state_i, prepared.parameters) / scale
-        )
+        of_the_host = prepared.state_f, prepared.state_i, prepared.parameters
+        host = update(count, 0.0, periods, 0.0, *of_the_host) / scale
         size = max(abs(error), abs(integrator), abs(host), 1.0)
         if periods == 1:  # within a gap the sign may turn as well
             worst = max(worst, abs(state.velocity - host) / (size * EPS))
@@ -135,17 +134,11 @@ def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, outp
 def test_fixed_velocity_is_exact_after_gaps(law: Any, data: st.DataObject) -> None:
     vectors = golden_vectors(data.draw(st.integers(0, 1000)), ticks=1)
     p = estimator_only(estimators.get("fdm").prepare({}, 1.0, 1.0))
-    _set_biquad(p, vectors.filter)
+    p.estimator = 0
+    copy_filter(p, vectors.filter)
     counts = data.draw(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=30))
     gaps = st.sampled_from([1, 1, 1, 2, 3, 7, 40, 1000, 5000])
     elapsed = data.draw(st.lists(gaps, min_size=len(counts), max_size=len(counts)))
     exact = ExactFilter(vectors.filter)
     expected = [exact.velocity(*sample) for sample in zip(counts, elapsed, strict=True)]
     assert law.run(p, inputs(counts, np.array(elapsed)))["velocity_fixed"].tolist() == expected
-
-
-def _set_biquad(p: Any, filter_: Any) -> None:
-    p.estimator = 0
-    for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
-        setattr(p.biquad, name, getattr(filter_, name))
-    p.biquad.state_bits, p.biquad.word_bits = filter_.state.fraction_bits, filter_.state.word_bits
