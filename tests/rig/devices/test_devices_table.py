@@ -1,11 +1,9 @@
 """The table of device backends: valid and invalid URLs, third-party schemes, and device processes."""
 
-import gc
-import operator
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -20,9 +18,7 @@ import rig.devices
 from rig import config, devices
 from rig.config import presets
 from rig.core import plugins as core_plugins
-from rig.core import program
 from rig.core.errors import ConfigError, DeviceNotFoundError
-from rig.core.process import start_announced
 from rig.devices import local
 from rig.devices.device import DeviceUrl
 from rig.experiments.hits._on_device import OnDevice, examined
@@ -214,27 +210,6 @@ def test_a_device_process_is_that_of_its_url_and_ends_with_its_context(
     assert process not in children()
     with pytest.raises(DeviceNotFoundError):
         rig.devices.open_device(url)
-
-
-class AsLoaded:
-    """A value that is computed in the process that unpickles it."""
-
-    def __init__(self, ask: Callable[..., Any], *arguments: Any) -> None:
-        self.asked = ask, arguments
-
-    def __reduce__(self) -> Any:
-        return self.asked
-
-
-def test_a_device_process_has_its_group_before_it_loads_its_arguments() -> None:
-    asked = (AsLoaded(os.getpid), AsLoaded(os.getpgid, 0), AsLoaded(gc.get_threshold))
-    with start_announced(operator.call, asked, name="asked", by_hand="no command") as (
-        pid,
-        group,
-        thresholds,
-    ):
-        assert group == pid  # receives no Ctrl-C
-        assert thresholds[0] == program.SELDOM
 
 
 @pytest.fixture

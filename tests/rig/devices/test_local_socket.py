@@ -38,15 +38,20 @@ def path(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
     assert not (tmp_path / "port").exists()
 
 
-def test_the_rig_behind_it_conforms_as_a_device(path: Path) -> None:
+@pytest.fixture
+def listener(tmp_path: Path) -> Iterator[socket.socket]:
+    """A program that listens at ``silent`` and sends nothing."""
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "silent"))
+        listening.listen()
+        yield listening
+
+
+def test_it_conforms_as_a_link_and_the_rig_behind_it_as_a_device(
+    path: Path, tmp_path: Path, listener: socket.socket
+) -> None:
+    check_link(lambda: opened(path), lambda: opened(tmp_path / "silent"), slack_s=SLACK_S)
     check_device(lambda: opened(path), starts_in_boot=False)
-
-
-def test_it_conforms_as_a_link(path: Path, tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as silent:
-        silent.bind(str(tmp_path / "silent"))
-        silent.listen()
-        check_link(lambda: opened(path), lambda: opened(tmp_path / "silent"), slack_s=SLACK_S)
 
 
 def test_after_a_lost_host_the_next_one_finds_link_lost_and_an_empty_line(path: Path) -> None:
@@ -65,15 +70,12 @@ def test_after_a_lost_host_the_next_one_finds_link_lost_and_an_empty_line(path: 
     heir.link.close()
 
 
-def test_a_program_that_ends_is_unplugged(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(str(tmp_path / "port"))
-        listener.listen()
-        link = opened(tmp_path / "port")
-        listener.accept()[0].close()
-        with pytest.raises(UnpluggedError):
-            link.read(WAIT_S)
-        link.close()
+def test_a_program_that_ends_is_unplugged(tmp_path: Path, listener: socket.socket) -> None:
+    link = opened(tmp_path / "silent")
+    listener.accept()[0].close()
+    with pytest.raises(UnpluggedError):
+        link.read(WAIT_S)
+    link.close()
 
 
 def test_a_socket_without_a_listener_does_not_open(tmp_path: Path) -> None:
@@ -84,14 +86,13 @@ def test_a_socket_without_a_listener_does_not_open(tmp_path: Path) -> None:
             opened(tmp_path / "missing", query)
 
 
-def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(str(tmp_path / "port"))
-        listener.listen()
-        link = opened(tmp_path / "port", "?cpu=3")
-        assert host_beside(Scheduling(), link).cpu == 3
-        assert host_beside(Scheduling(cpu=1), link).cpu == 1
-        link.close()
+def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another(
+    tmp_path: Path, listener: socket.socket
+) -> None:
+    link = opened(tmp_path / "silent", "?cpu=3")
+    assert host_beside(Scheduling(), link).cpu == 3
+    assert host_beside(Scheduling(cpu=1), link).cpu == 1
+    link.close()
 
 
 @pytest.mark.exhaustive(

@@ -2,7 +2,6 @@
 
 import os
 import pty
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,86 +15,55 @@ from rig.devices.port_facts import PortFacts, port_facts
 class Tree:
     """A directory with ``sys`` and ``dev``, in which ports are added one by one."""
 
-    def __init__(self, root: Any) -> None:
+    def __init__(self, root: Path) -> None:
         self.root = root
-        (root / "dev").mkdir()
 
-    def plug(
-        self,
-        name: Any,
-        *,
-        driver: Any,
-        vendor: Any = None,
-        product: str = "6001",
-        serial: Any = None,
-        title: Any = None,
-        latency: Any = None,
-        by_id: Any = None,
-    ) -> Any:
-        """Make the files that the kernel makes for a port."""
-        sysfs = self.root / "sys"
-        if vendor is None:
-            node = sysfs / "devices/platform" / name
-        else:
-            usb = sysfs / "devices/pci0/usb1/1-1"
-            node = usb / "1-1:1.0" / (name if driver != "cdc_acm" else "")
-            node.mkdir(parents=True)
-            for attribute, text in (
-                ("idVendor", vendor),
-                ("idProduct", product),
-                ("serial", serial),
-                ("product", title),
-            ):
-                if text is not None:
-                    (usb / attribute).write_text(f"{text}\n")
-        node.mkdir(parents=True, exist_ok=True)
+    def plug(self, name: str, driver: str, latency: object = None, by_id: str = "", **usb: str) -> str:
+        """Make the files that the kernel makes for a port; `usb` are attributes of its USB device."""
+        sysfs, dev = self.root / "sys", self.root / "dev"
+        device = sysfs / "devices/pci0/usb1/1-1"
+        node = device / "1-1:1.0" / name if usb else sysfs / "devices/platform" / name
         drivers = sysfs / "bus/usb-serial/drivers" / driver
-        drivers.mkdir(parents=True)
-        (node / "driver").symlink_to(drivers)
-        tty_class = sysfs / "class/tty" / name
-        tty_class.mkdir(parents=True)
-        (tty_class / "device").symlink_to(node)
+        links = {node / "driver": drivers, sysfs / "class/tty" / name / "device": node}
         if latency is not None:
-            (node / "latency_timer").write_text(f"{latency}\n")
-            bus = sysfs / "bus/usb-serial/devices"
-            bus.mkdir(parents=True)
-            (bus / name).symlink_to(node)
-        port = self.root / "dev" / name
-        port.touch()
-        if by_id is not None:
-            names = self.root / "dev/serial/by-id"
-            names.mkdir(parents=True, exist_ok=True)
-            (names / by_id).symlink_to(f"../../{name}")
-            (names / "usb-another-device").symlink_to("../../ttyS9")
-        return str(port)
+            links[sysfs / "bus/usb-serial/devices" / name] = node
+        if by_id:
+            links |= {
+                dev / "serial/by-id" / by_id: dev / name,
+                dev / "serial/by-id/usb-another": dev / "ttyS9",
+            }
+        for place in (node, drivers, dev, *(link.parent for link in links)):
+            place.mkdir(parents=True, exist_ok=True)
+        for link, target in links.items():
+            link.symlink_to(target)
+        files = {device / attribute: text for attribute, text in usb.items()}
+        for file, text in {**files, node / "latency_timer": latency or "none", dev / name: ""}.items():
+            file.write_text(f"{text}\n")
+        return str(dev / name)
 
-    def facts(self, port: Any, descriptor: Any = None) -> Any:
+    def facts(self, port: str, descriptor: int | None = None) -> PortFacts:
         return port_facts(port, descriptor, root=self.root)
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Any:
+def tree(tmp_path: Path) -> Tree:
     return Tree(tmp_path)
 
 
+FTDI = {"idVendor": "0403", "idProduct": "6001"}
+
+
 def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree: Tree) -> None:
-    port = tree.plug(
-        "ttyUSB0",
-        driver="ftdi_sio",
-        vendor="0403",
-        serial="A50285BI",
-        title="FT232R USB UART",
-        latency=16,
-        by_id="usb-FTDI_FT232R_USB_UART_A50285BI-if00-port0",
+    name, names = (
+        "usb-FTDI_FT232R_USB_UART_A50285BI-if00-port0",
+        {"serial": "A50285BI", "product": "FT232R USB UART"},
     )
-    facts = tree.facts(port)
+    facts = tree.facts(tree.plug("ttyUSB0", "ftdi_sio", 16, name, **FTDI, **names))
     assert (facts.driver, facts.vid_pid, facts.serial_number) == ("ftdi_sio", "0403:6001", "A50285BI")
     assert facts.product == "FT232R USB UART"
     assert facts.ftdi
     assert facts.latency_timer_ms == 16
-    assert [os.path.basename(name) for name in facts.by_id] == [
-        "usb-FTDI_FT232R_USB_UART_A50285BI-if00-port0"
-    ]
+    assert [os.path.basename(found) for found in facts.by_id] == [name]
     (problem,) = facts.problems()
     assert "16 ms" in problem.text
     assert problem.remedy.startswith("echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer;")
@@ -107,7 +75,7 @@ def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree: Tree) -> None:
 def test_an_ftdi_adapter_at_one_millisecond_or_without_a_timer_is_no_problem(
     latency: Any, known_ms: Any, tree: Tree
 ) -> None:
-    facts = tree.facts(tree.plug("ttyUSB1", driver="ftdi_sio", vendor="0403", latency=latency))
+    facts = tree.facts(tree.plug("ttyUSB1", "ftdi_sio", latency, **FTDI))
     assert facts.ftdi
     assert facts.latency_timer_ms == known_ms
     assert facts.problems() == []
@@ -117,20 +85,16 @@ def test_a_board_that_is_a_usb_device_itself_has_no_latency_mode(
     tree: Tree, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tty, "low_latency", lambda descriptor: False)
-    port = tree.plug("ttyACM0", driver="cdc_acm", vendor="2e8a", product="000a", serial="E66038B713")
-    master, slave = pty.openpty()
-    try:
-        facts = tree.facts(port, slave)
-    finally:
-        os.close(master)
-        os.close(slave)
+    port = tree.plug("ttyACM0", "cdc_acm", idVendor="2e8a", idProduct="000a", serial="E66038B713")
+    with os.fdopen(pty.openpty()[1]) as terminal:
+        facts = tree.facts(port, terminal.fileno())
     assert (facts.driver, facts.vid_pid, facts.ftdi) == ("cdc_acm", "2e8a:000a", False)
     assert facts.low_latency is None
     assert facts.latency_timer_ms is None
 
 
 def test_a_uart_of_the_machine_belongs_to_no_usb_device(tree: Tree) -> None:
-    facts = tree.facts(tree.plug("ttyS0", driver="serial8250"))
+    facts = tree.facts(tree.plug("ttyS0", "serial8250"))
     assert (facts.driver, facts.vid_pid, facts.serial_number, facts.by_id) == ("serial8250", None, None, ())
 
 
@@ -139,11 +103,6 @@ def test_a_port_that_is_not_there_and_a_pseudo_terminal_are_unknown_and_no_probl
         facts = tree.facts(port)
         assert facts == PortFacts(port=port, device=port)
         assert facts.problems() == []
-
-
-def test_a_pseudo_terminal_is_not_taken_for_the_console_of_the_same_number(tree: Tree) -> None:
-    tree.plug("0", driver="ftdi_sio", vendor="0403")
-    assert tree.facts("/dev/pts/0").driver is None
 
 
 @pytest.mark.parametrize(
@@ -162,30 +121,9 @@ def test_a_problem_has_the_command_that_removes_it(changed: Any, command: str | 
     assert all(command in problem.remedy for problem in problems)
 
 
-# ---------------------------------------------------------------------- the line itself, on a pseudo-terminal
-
-
-@pytest.fixture
-def slave() -> Iterator[Any]:
-    master, slave = pty.openpty()
-    yield slave
-    os.close(slave)
-    os.close(master)
-
-
-def test_settings_are_read_back_as_they_were_set(slave: Any) -> None:
-    tty.configure(slave)
-    assert tty.blocks_for_a_byte(slave)
-    assert tty.hangs_up(slave) is False
-    assert os.get_blocking(slave) is False
-    for wanted in (True, False):
-        assert tty.set_exclusive(slave, wanted) is wanted
-        assert tty.is_exclusive(slave) is wanted
-
-
 def test_reading_the_facts_of_a_port_does_not_open_it(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     """Opening a port changes its modem lines, and may reset a running board."""
-    port = tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16)
+    port = tree.plug("ttyUSB0", "ftdi_sio", 16, **FTDI)
     opened = []
     real = os.open
     monkeypatch.setattr(

@@ -1,12 +1,11 @@
 """A serial port as a link, on pseudo-terminals: open errors, line settings, unplugging, a full line."""
 
-import contextlib
 import errno
 import fcntl
 import os
-import resource
 import struct
 import termios
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +23,6 @@ from rig.devices._serial_options import DEFAULT_BAUD
 from rig.devices._serial_options import capacity as capacity_of
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import SerialLink, open_link
-from rig.doctor._ports import serial_port
 
 SLACK_S = 5.0  # of a loaded machine: these tests say "bounded", not "quick"
 IFLAG, OFLAG, CFLAG, LFLAG, CC = 0, 1, 2, 3, 6
@@ -111,15 +109,20 @@ def test_each_error_of_the_system_becomes_one_typed_error(
         opened(line.path)
 
 
-@pytest.mark.parametrize("baud", ["fast", "", "-9600", "299", "20000001", "1e6", "²", "9600.0"])
-def test_an_invalid_rate_is_refused(baud: str, line: Any) -> None:
-    with pytest.raises(ConfigError, match="baud"):
-        opened(line.path, baud=baud)
+RATES = ("fast", "", "-9600", "299", "20000001", "1e6", "²", "9600.0")
 
 
-def test_unknown_options_and_no_port_are_refused(line: Any) -> None:
-    with pytest.raises(ConfigError, match="parity"):
-        opened(line.path, parity="even")
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("baud", rate) for rate in RATES),
+        *(("dtr", word) for word in ("yes", "", "1", "ON")),
+        ("parity", "even"),
+    ],
+)
+def test_an_invalid_option_is_refused(name: str, value: str, line: Any) -> None:
+    with pytest.raises(ConfigError, match=name):
+        opened(line.path, **{name: value})
     with pytest.raises(ConfigError, match="no serial port"):
         opened("")
 
@@ -197,60 +200,15 @@ def test_the_rate_limits_a_uart_and_nothing_else(
     assert capacity_of(str(alias), baud) == capacity, "the port counts, not its alias"
 
 
-def test_names_that_differ_behind_a_hash_are_different_ports(line: Any, tmp_path: Path) -> None:
-    (tmp_path / "usb-ACME_Rig").symlink_to("/dev/null")
-    for name in ("usb-ACME_Rig#2", "usb-ACME_Rig%", "usb-ACME_Rig?x=1", os.fsdecode(b"usb \xff\n")):
-        (tmp_path / name).symlink_to(line.path)
-        url = serial_port(str(tmp_path / name))[0].url
-        with contextlib.closing(open_link(DeviceUrl.parse(url))) as found:
-            assert found.facts.device == line.path
-    with contextlib.closing(opened(f"{tmp_path}/usb-ACME_Rig#2")) as found:
-        assert found.facts.port == f"{tmp_path}/usb-ACME_Rig#2"
-        with pytest.raises(DeviceNotFoundError, match="in use"):
-            opened(line.path)
-
-
-def test_descriptors_beyond_1023_wait_read_and_write(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(descriptor, "WRITE_TIMEOUT_S", 0.05)
-    high = 1500
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if hard != resource.RLIM_INFINITY and hard <= high:
-        pytest.skip(f"this machine allows {hard} open files")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, high + 1), hard))
-    port = serial.Serial(line.path, timeout=0)
-    low, port.fd = port.fd, os.dup2(port.fd, high)
-    link = SerialLink(DeviceUrl.parse(f"serial://{line.path}"), port)
-    try:
-        assert link.read(0.0) == b""
-        os.write(line.device, b"in")
-        assert link.read(SLACK_S) == b"in"
-        link.write(b"out")
-        assert os.read(line.device, 100) == b"out"
-        with pytest.raises(LinkLostError, match="accepts no more"):
-            link.write(b"x" * 1_000_000)
-    finally:
-        link.close()
-        os.close(low)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
 # ---------------------------------------------------------------------- modem lines, low latency, exclusion
 
 
 def test_a_pseudo_terminal_has_no_modem_lines_and_is_not_exclusive(link: Any) -> None:
     assert link.facts.low_latency is None
     assert link.facts.dtr is None
-    assert link.facts.exclusive is False, (
-        "it would stay so after a kill -9, and no program could open the port"
-    )
+    assert link.facts.exclusive is False, "it would stay so after a kill -9: no program could open the port"
     assert link.facts.hangs_up is False
     assert link.messages == []
-
-
-@pytest.mark.parametrize("dtr", ["yes", "", "1", "ON"])
-def test_dtr_is_on_or_off(dtr: str, line: Any) -> None:
-    with pytest.raises(ConfigError, match="dtr"):
-        opened(line.path, dtr=dtr)
 
 
 @pytest.fixture
@@ -356,8 +314,6 @@ def test_writing_to_a_line_without_a_reader_ends_in_bounded_time(
 
 
 def test_a_line_that_is_read_late_takes_everything(line: Any, link: Any) -> None:
-    import threading  # noqa: PLC0415
-
     sent = os.urandom(40_000)
     got = bytearray()
 
@@ -385,8 +341,6 @@ def test_a_pulled_plug_is_a_lost_link_in_both_directions(line: Any, serial_link:
 
 
 def test_a_plug_pulled_while_reading_is_noticed_at_once(line: Any, link: Any) -> None:
-    import threading  # noqa: PLC0415
-
     pulling = threading.Timer(0.05, line.unplug)
     pulling.start()
     with pytest.raises(LinkLostError):  # at the timeout it would return no bytes
