@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+from firmware_protocol import messages as m
 from rig.core.model import Encoder, RigModel
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
@@ -28,8 +29,9 @@ from sim_backend.drives.can_simple import CanSimpleCommand
 from sim_backend.drives.fdcanusb import Uart
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.multiplex import NOP
-from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
+from sim_backend.drives.odrive import SimulatedOdrive
 from sim_backend.drives.socket_can import CLASSIC_BYTES, FD_BYTES, SocketCan, from_wire, to_wire
+from tests.conformance import drives
 from tests.conformance.host import Host
 from tests.conformance.rigs import rotary_rig
 
@@ -140,7 +142,7 @@ class Moteus:
         return self.register(0x003)
 
 
-class Odrive:
+class Odrive(drives.Odrive):
     """An ODrive behind a bridge; see `Moteus`."""
 
     name, texts = "odrive", TEXTS["odrive"]
@@ -148,19 +150,15 @@ class Odrive:
 
     def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
         assert not switches
-        self.drive = SimulatedOdrive(model, OdriveOptions(settings={**ODRIVE_SETUP, **settings}))
+        super().__init__(model, {**ODRIVE_SETUP, **settings})
         self.found = find_odrive(self.drive, model)
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
         return SocketCan()
 
-    def ask(self, command: CanSimpleCommand, form: str) -> tuple[Any, ...]:
-        (answer,) = self.drive.receive(Frame(command, b"", remote=True))
-        return struct.unpack("<" + form, answer.data)
-
     @property
     def mode(self) -> int:
-        return int(self.ask(CanSimpleCommand.HEARTBEAT, "IBBBx")[1])
+        return self.state
 
     @property
     def torque(self) -> float:
@@ -179,18 +177,8 @@ KINDS: dict[str, type[Moteus | Odrive]] = {"moteus": Moteus, "odrive": Odrive}
 class Bridged:
     """A bridge, its drive and a line between them.
 
-    Parameters
-    ----------
-    model
-        The rig.
-    settings
-        Of the drive, where it is not as a bridge wants it.
-    kind
-        Of drive: one of `KINDS`.
-    strikes
-        Way and number of a line → what becomes of it: another line, or b"".
-    drift
-        By which share the drive's clock is fast.
+    `settings` are those of the drive where it is not as a bridge wants it, `drift` the share by which its clock is
+    fast.
     """
 
     bytes_per_second: float | None = None
@@ -202,7 +190,6 @@ class Bridged:
         settings: Mapping[str, str] | None = None,
         *,
         kind: str = "moteus",
-        strikes: Mapping[tuple[Way, int], Strike] | None = None,
         travel_ns: int = TRAVEL_NS,
         switches: Mapping[str, str] | None = None,
         socket: bool = False,
@@ -216,7 +203,8 @@ class Bridged:
         self.on_a_bus = socket or kind == "odrive"
         self.bridge = Bridge(self.model, self.far.found, socket=self.on_a_bus)
         self.adapter = self.far.adapter(socket)
-        self.strikes = dict(strikes or {})
+        # way and number of a line → what becomes of it: another line, or b""
+        self.strikes: dict[tuple[Way, int], Strike] = {}
         self.lines = {"to drive": 0, "from drive": 0}
         self.travel_ns = travel_ns
         self.alive = True
@@ -349,6 +337,11 @@ class Bridged:
         if frame is not None:
             self._from_drive(self.drive.receive(frame))
 
+    def strike(self, way: Way, strike: Strike, lines: int = 10_000, after: int = 0) -> None:
+        """Change the next lines, after some that pass."""
+        begin = self.lines[way] + after
+        self.strikes = {(way, number): strike for number in range(begin, begin + lines)}
+
     def happen(self, name: str, value: float = 0.0) -> None:
         """Apply an event of the environment to the drive (its `happen`)."""
         self._from_drive(self.drive.happen(name, value))
@@ -367,15 +360,8 @@ class Bridged:
 
 def plain_drive() -> FittedDrive:
     """Return a fitted drive that was not read from a device."""
-    return FittedDrive(
-        kind="moteus",
-        firmware="moteus",
-        id=1,
-        counts_per_turn=16384.0,
-        transmission=2.0,
-        ranges={},
-        settings={},
-    )
+    names = {"kind": "moteus", "firmware": "moteus"}
+    return FittedDrive(**names, id=1, counts_per_turn=16384.0, transmission=2.0, ranges={}, settings={})
 
 
 def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:
@@ -391,3 +377,13 @@ def push(host: Host, ticks: int, current: int = CURRENT) -> None:
     for _ in range(ticks):
         host.next_state()
         host.command(current)
+
+
+def push_until_fault(host: Host, ticks: int, current: int = CURRENT) -> m.State:
+    """Reply to at most this many STATEs with a current, until one reports a fault; return the last."""
+    for _ in range(ticks):
+        state = host.next_state()
+        if state.fault:
+            break
+        host.command(current)
+    return state

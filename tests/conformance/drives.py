@@ -23,6 +23,7 @@ RATIO = 2.0  # turns of the drive's shaft for one of the link
 INERTIA = 1e-3  # kg·m² at the link
 KT = 0.1 / RATIO  # N·m/A at the shaft
 NAN = float("nan")
+Units = Iterable[tuple[int, bytes]]  # bytes with the times of their arrival (ns)
 
 
 def drive_rig(**changed: Any) -> RigModel:
@@ -130,24 +131,15 @@ class Odrive:
 
 
 class Wire:
-    """A line in memory: byte units with arrival times, and a clock that advances while the drive waits.
+    """A line in memory: byte units with arrival times, and a clock that advances while the drive waits."""
 
-    Attributes
-    ----------
-    text
-        What the drive has put on it, with the time (ns).
-    pulled
-        Whether it was unplugged.
-    """
-
-    def __init__(self, units: Iterable[tuple[int, bytes]]) -> None:
+    def __init__(self, units: Units) -> None:
         self.now = 0
-        self.sent: list[tuple[int, bytes]] = []
+        self.sent: list[tuple[int, bytes]] = []  # by the drive, with the time (ns)
         self.pulled = False
         self._units = deque(units)
 
     def clock(self) -> int:
-        """Return the time (ns)."""
         return self.now
 
     def read(self, deadline_ns: int) -> bytes:
@@ -169,11 +161,7 @@ class Wire:
 
 
 def served(
-    drive: DriveModel,
-    adapter: SimulatedAdapter,
-    units: Iterable[tuple[int, bytes]],
-    script: DriveScript,
-    duration_s: float,
+    drive: DriveModel, adapter: SimulatedAdapter, units: Units, script: DriveScript, duration_s: float
 ) -> Wire:
     """Serve a drive on a line in memory for `duration_s`, and return the line."""
     wire = Wire(units)

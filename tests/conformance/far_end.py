@@ -125,9 +125,7 @@ class Witness:
     """The record that a device writes about itself at each tick; it also injects the faults of the script."""
 
     def __init__(self, device: SimulatedDevice | FirmwareDevice, witness: np.ndarray, script: Script) -> None:
-        self._device = device
-        self._witness = witness
-        self._script = script
+        self.device, self.witness, self.script = device, witness, script
         self._struck = False
         self.ticks = self.running = self.rises = 0
         self._first_fault = Fault.NONE
@@ -137,7 +135,7 @@ class Witness:
         self.ticks += 1
         self.running += state is State.RUNNING
         self._first_fault = self._first_fault or fault
-        script, device = self._script, self._device
+        script, device = self.script, self.device
         if self._struck or self.running <= script.after:
             return
         self._struck = True
@@ -147,7 +145,7 @@ class Witness:
             device.inject_fault(script.fault)
 
     def write(self, state: State, current: int, fault: Fault) -> None:
-        w = self._witness[0]
+        w = self.witness[0]
         w["running"], w["rises"] = self.running, self.rises
         w["current"], w["state"], w["fault"], w["first_fault"] = current, state, fault, self._first_fault
         w["ticks"] = self.ticks
@@ -189,21 +187,11 @@ class FaultyPort:
     """A port whose line follows a script; `unplug` is the port's own way to lose the plug."""
 
     def __init__(
-        self,
-        port: DevicePort,
-        device: WatchedDevice | WatchedFirmware,
-        script: Script,
-        unplug: Callable[[], None],
-        witness: np.ndarray,
-        clock: PatientClock,
+        self, port: DevicePort, watched: Witness, unplug: Callable[[], None], clock: PatientClock
     ) -> None:
-        self._clock = clock
+        self._port, self._watched, self._unplug, self._clock = port, watched, unplug, clock
         self._came_ns = clock.monotonic_ns()
-        self._witness = witness
-        self._port = port
-        self._device = device
-        self._script = script
-        self._unplug = unplug
+        self._device = watched.device
         self._line = ScriptedLine()
         self._begun = self._gone = False
 
@@ -251,15 +239,13 @@ class FaultyPort:
         return self._line.receive(Direction.TO_HOST, tick)
 
     def _begin(self) -> None:
-        if not self._begun and self._device.witness.running > self._script.after:
+        script, begun = self._watched.script, self._line.frames
+        if not self._begun and self._watched.running > script.after:
             self._begun = True
-            self._line.add(
-                replace(fault, frame=fault.frame + self._line.frames[fault.direction])
-                for fault in self._script.frames
-            )
+            self._line.add(replace(one, frame=one.frame + begun[one.direction]) for one in script.frames)
 
     def _record_tick(self) -> None:
-        self._witness[0]["acted"] = sum(self._line.acted.values())
+        self._watched.witness[0]["acted"] = sum(self._line.acted.values())
         if self._line.unplugged and not self._gone:
             self._gone = True
             self._unplug()
@@ -332,11 +318,11 @@ def _serve(model: RigModel, script: Script, witness_path: Path, rate: int, firmw
             made = WatchedFirmware(
                 model, witness, script, position_rate_maximum=pty.FIRMWARE_RATE_MAXIMUM, **options
             )
-            faulty = PluggedPort(FaultyPort(port, made, script, unplug, witness, clock), clock)
+            faulty = PluggedPort(FaultyPort(port, made.witness, unplug, clock), clock)
             running = BoardTime(made, faulty.loop_port(), stop, most=1)
         else:
             device = WatchedDevice(model, witness, script, position_rate_maximum=4_000, **options)
-            running = RealTime(device, FaultyPort(port, device, script, unplug, witness, clock), stop)
+            running = RealTime(device, FaultyPort(port, device.witness, unplug, clock), stop)
         pipe.send(url)  # only after compiling, so that no host waits for the compiler
         running.run(None)
 
@@ -437,13 +423,7 @@ class FarEnd:
 
 
 class HostProcess:
-    """A host that runs one trial in its own process, which a test can kill, stop and interrupt.
-
-    Attributes
-    ----------
-    process
-        The process.
-    """
+    """A host that runs one trial in its own process, which a test can kill, stop and interrupt."""
 
     def __init__(self, url: str, experiment: Any, recording: Path) -> None:
         context = processes()

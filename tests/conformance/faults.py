@@ -10,7 +10,7 @@ from __future__ import annotations
 import random
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -30,43 +30,24 @@ _U16 = 0xFFFF
 
 
 class FarEnd(ABC):
-    """A device with effort, the host at its link, and the faults that a test can cause.
+    """A device with effort, the host at its link, and the faults that a test can cause."""
 
-    Attributes
-    ----------
-    host, received
-        The host, and the messages that it received while time passed.
-    rate
-        Ticks a second (Hz).
-    mode, current, lifetime_us, ramp_us
-        What the host commands, for how long a command lives, and in which time the effort falls behind it.
-    most
-        The largest effort that the device may give (quanta).
-    grain
-        How well `effort` is known (quanta).
-    send_every
-        Ticks between two commands.
-    rest_ticks
-        Ticks in which a host that ignores a fault must move nothing.
-    late
-        Ticks by which this far end may show an effect later: an emulator runs in slices.
-    strikes
-        Fault of `FOUND` → what causes it here.
-    repairs
-        Fault → what ends its cause, where it does not end by itself.
-    """
-
-    rate = 2_000
+    rate = 2_000  # ticks a second
+    # What the host commands, for how long a command lives, and in which time the effort falls behind it.
     mode, current, lifetime_us, ramp_us = Mode.CURRENT, 200, 20_000, 10_000
-    most = 200.0
-    grain = 0.0
-    send_every, rest_ticks, late = 1, 100, 0
+    most = 200.0  # the largest effort that the device may give (quanta)
+    grain = 0.0  # how well `effort` is known (quanta)
+    send_every = 1  # ticks between two commands
+    rest_ticks = 100  # in which a host that ignores a fault must move nothing
+    late = 0  # ticks by which this far end may show an effect later: an emulator runs in slices
 
     def __init__(self, link: Link) -> None:
         self.host = Host(link)
-        self.strikes: dict[str, Callable[[], object]] = {}
-        self.repairs: dict[str, Callable[[], object]] = {}
-        self.received: list[m.Message] = []
+        self.strikes: dict[str, Callable[[], object]] = {}  # fault of `FOUND` → what causes it here
+        self.repairs: dict[
+            str, Callable[[], object]
+        ] = {}  # what ends its cause, if that does not end by itself
+        self.received: list[m.Message] = []  # while time passed
         self.session = 0
         self._sent = 0
 
@@ -84,12 +65,8 @@ class FarEnd(ABC):
 
     def parameters(self) -> dict[str, Value]:
         """Return the parameters that this host configures."""
-        return {
-            **RUN_PARAMETERS,
-            "position_rate": self.rate,
-            "command_lifetime_us": self.lifetime_us,
-            "ramp_us": self.ramp_us,
-        }
+        times = {"command_lifetime_us": self.lifetime_us, "ramp_us": self.ramp_us}
+        return {**RUN_PARAMETERS, "position_rate": self.rate, **times}
 
     def arm(self, **changes: Value) -> m.Ack:
         """Configure and arm a new session; return the reply."""
@@ -141,16 +118,9 @@ class FarEnd(ABC):
         connection = self.host.connection
         self._sent += 1
         sequence = connection.sequence_to_send(m.Command) + (self._sent if behind is None else -1 - behind)
-        fields = {
-            "state_sequence": self.host.sequences[-1],
-            "lifetime_us": self.lifetime_us,
-            "mode": int(self.mode),
-            "flags": 0,
-            "current": self.current,
-            **changes,
-        }
+        command = m.Command(self.host.sequences[-1], self.lifetime_us, int(self.mode), 0, self.current)
         of = connection.session if session is None else session
-        return encode_frame(pack(m.Command(**fields), session=of, sequence=sequence & _U16))
+        return encode_frame(pack(replace(command, **changes), session=of, sequence=sequence & _U16))
 
     def ticks_of(self, us: int) -> int:
         return round(us * 1e-6 * self.rate)
@@ -241,24 +211,12 @@ def _reference_effort(make_far_end: MakeFarEnd, far: FarEnd, ticks: int) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The required reaction to a fault.
+    """The required reaction to a fault."""
 
-    Attributes
-    ----------
-    faults
-        One of these is latched.
-    ticks
-        Until the effort is zero.
-    remains
-        True if the device refuses to clear it, and to arm, until its cause has ended.
-    arms
-        What the device answers to ARM after the clear; None where that depends on the motion since.
-    """
-
-    faults: tuple[Fault, ...]
-    ticks: int = 1
-    remains: bool = False
-    arms: Status | None = None
+    faults: tuple[Fault, ...]  # one of these is latched
+    ticks: int = 1  # until the effort is zero
+    remains: bool = False  # True: the device refuses to clear it, and to arm, until its cause has ended
+    arms: Status | None = None  # reply to ARM after the clear; None where that depends on the motion since
 
 
 FOUND: dict[str, Found] = {

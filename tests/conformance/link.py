@@ -1,6 +1,7 @@
 """The conformance suite of `rig.devices.device.Link`, in virtual and in real time."""
 
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import numba
@@ -13,7 +14,7 @@ from rig.core.errors import LinkLostError
 from rig.core.sample import TRUTH
 from rig.devices.device import Link
 from rig.realtime.kernel import kernel
-from rig.realtime.plugs import NOW, TRANSFER, WAIT
+from rig.realtime.plugs import TRANSFER, WAIT
 from tests.conformance.host import Host
 
 MakeLink = Callable[[], Link]
@@ -23,33 +24,16 @@ COMPILED = not numba.config.DISABLE_JIT
 
 
 def check_link(make_link: MakeLink, make_silent_link: MakeLink, *, slack_s: float = 0.0) -> None:
-    """Run all checks.
+    """Check links to a device that replies to IDENTIFY, and one whose far end sends nothing.
 
-    Parameters
-    ----------
-    make_link
-        Returns an open link to a device that replies to IDENTIFY.
-    make_silent_link
-        Returns an open link whose far end sends nothing.
-    slack_s
-        How much later than its timeout a call may return: 0 in virtual time.
+    A call may return `slack_s` later than its timeout: 0 in virtual time.
     """
-    for check in (
-        _carries_a_conversation,
-        _carries_single_bytes,
-        _serves_the_compiled_loop,
-        _is_gone_when_closed,
-    ):
-        link = make_link()
-        try:
+    checks = (_carries_a_conversation, _carries_single_bytes, _serves_the_compiled_loop, _is_gone_when_closed)
+    for check in checks:
+        with closing(make_link()) as link:
             check(link)
-        finally:
-            link.close()
-    link = make_silent_link()
-    try:
+    with closing(make_silent_link()) as link:
         _waits_no_longer_than_asked(link, slack_s)
-    finally:
-        link.close()
 
 
 def _carries_a_conversation(link: Link) -> None:
@@ -81,26 +65,16 @@ def _serves_the_compiled_loop(link: Link) -> None:
     request = np.frombuffer(host.connection.send(m.Identify(host.nonce(), 0)), np.uint8).copy()
     answer = np.zeros(4096, np.uint8)
     port = link.port()
-    size = exchange(
-        port.read,
-        port.write,
-        port.wait,
-        port.now,
-        port.handle,
-        port.clock_handle,
-        request,
-        answer,
-        1_000_000_000,
-    )
-    assert size > 0, f"errno {-size}"
+    assert give(port.write, port.handle, request) == len(request)
     messages: list[object] = []
     for _ in range(100):  # a STATE may come first
+        size = listen(port.read, port.wait, port.handle, answer, link.clock.now_ns() + 1_000_000_000)
+        assert size > 0, f"errno {-size}"
         host.connection.receive_data(answer[:size].tobytes())
         while (event := host.connection.next_event()) is not None:
             messages.append(event.message)  # type: ignore[union-attr]
         if any(isinstance(message, m.Identity) for message in messages):
             break
-        size = listen(port.read, port.wait, port.handle, answer, link.clock.now_ns() + 1_000_000_000)
     assert any(isinstance(message, m.Identity) for message in messages)
     assert link.failure() is None
 
@@ -148,34 +122,3 @@ def listen(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) -> An
     if ready <= 0:
         return ready
     return read(handle, into.ctypes.data + 0, len(into))  # + 0: an address is unsigned, a plug takes int64
-
-
-@kernel(types.int64(TRANSFER, TRANSFER, WAIT, NOW, types.int64, types.int64, _BYTES, _BYTES, types.int64))
-def exchange(
-    read: Any,
-    write: Any,
-    wait: Any,
-    now: Any,
-    handle: Any,
-    clock: Any,
-    request: Any,
-    answer: Any,
-    timeout_ns: Any,
-) -> Any:  # type: ignore[no-untyped-def]
-    """Write a request and collect bytes up to the first delimiter; return their number, or negative errno."""
-    sent = write(handle, request.ctypes.data + 0, len(request))
-    if sent != len(request):
-        return min(sent, -1)
-    deadline_ns = now(clock) + timeout_ns
-    size = 0
-    while size < len(answer) and now(clock) < deadline_ns:
-        ready = wait(handle, deadline_ns)
-        if ready < 0:
-            return ready
-        got = read(handle, answer.ctypes.data + size, len(answer) - size)
-        if got < 0:
-            return got
-        size += got
-        if size > 0 and answer[size - 1] == 0:
-            return size
-    return 0

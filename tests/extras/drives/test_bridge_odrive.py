@@ -37,6 +37,7 @@ from tests.conformance.bridged import (
     endpoints,
     find_odrive,
     push,
+    push_until_fault,
     write_endpoints,
 )
 from tests.conformance.host import RUN_PARAMETERS, Host
@@ -157,11 +158,10 @@ def test_a_url_names_the_makers_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the URL has no endpoints file") as caught:
         address_of(DeviceUrl.parse("odrive://can0"))
     assert "docs.odriverobotics.com" in str(caught.value.remedy)
-    with pytest.raises(ConfigError, match=r"is not an ODrive's flat_endpoints\.json"):
-        address_of(DeviceUrl.parse(f"odrive://can0?endpoints={tmp_path}"))
     (tmp_path / "list.json").write_text("[]")
-    with pytest.raises(ConfigError, match=r"is not an ODrive's flat_endpoints\.json"):
-        address_of(DeviceUrl.parse(f"odrive://can0?endpoints={tmp_path / 'list.json'}"))
+    for invalid in (tmp_path, tmp_path / "list.json"):
+        with pytest.raises(ConfigError, match=r"is not an ODrive's flat_endpoints\.json"):
+            address_of(DeviceUrl.parse(f"odrive://can0?endpoints={invalid}"))
     place = write_endpoints(tmp_path / "flat_endpoints.json")
     with pytest.raises(ConfigError, match="id = '63'"):
         address_of(DeviceUrl.parse(f"odrive://can0?id=63&endpoints={place}"))
@@ -214,15 +214,8 @@ def test_a_period_is_a_whole_number_of_messages() -> None:
 def test_without_its_heartbeat_a_drive_may_have_stopped() -> None:
     world, host = armed(Bridged(kind="odrive"))
     push(host, 5)
-    here = world.lines["from drive"]
-    deaf = lambda line: b"" if line[0] == CanSimpleCommand.HEARTBEAT else line  # noqa: E731
-    world.strikes = {("from drive", number): deaf for number in range(here, here + 400)}
-    for _ in range(80):
-        state = host.next_state()
-        if state.fault:
-            break
-        host.command(CURRENT)
-    assert state.fault == DriveFault.DRIVE_SILENT
+    world.strike("from drive", lambda line: b"" if line[0] == CanSimpleCommand.HEARTBEAT else line)
+    assert push_until_fault(host, 80).fault == DriveFault.DRIVE_SILENT
     world.run(0.01)
     assert world.torque == 0.0
 
@@ -232,12 +225,7 @@ def test_a_drive_that_changes_a_torque_is_counted_and_left() -> None:
     world, host = armed(Bridged(kind="odrive"))
     push(host, 5)
     world.drive._write_parameter(odrive.MOST_TORQUE, 0.97 * CURRENT * 1e-3 * 0.05)  # less than measuring sees
-    for _ in range(20):
-        state = host.next_state()
-        if state.fault:
-            break
-        host.command(CURRENT)
-    assert state.fault == DriveFault.DRIVE_LEFT
+    assert push_until_fault(host, 20).fault == DriveFault.DRIVE_LEFT
     assert world.bridge.facts.limited > 0
     world.run(0.01)
     assert world.torque == 0.0
@@ -247,10 +235,7 @@ def test_a_drive_that_is_armed_again_has_been_cleared() -> None:
     world, host = armed(Bridged(kind="odrive"))
     push(host, 5)
     world.happen("estop")
-    for _ in range(15):
-        if host.next_state().fault:
-            break
-        host.command(CURRENT)
+    push_until_fault(host, 15)
     world.run(0.05)
     host.disarm(clear_fault=True)
     host.begin(2)

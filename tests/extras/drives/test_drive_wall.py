@@ -82,14 +82,8 @@ def continuous(
 def test_an_oscillation_decays_as_the_damping_says(damping: float) -> None:
     """Decay and period about the resting position are those of the slowest pole."""
     push, stiffness = 0.05, 1.0
-    x = walled(
-        wall__stiffness=stiffness,
-        wall__damping=damping,
-        wall__position=-0.1,
-        trial__start=-0.15,
-        trial__effort=push,
-    )
-    run = Walled(x, inside=True)
+    keys = {"wall__position": -0.1, "trial__start": -0.15, "trial__effort": push}
+    run = Walled(x := walled(wall__stiffness=stiffness, wall__damping=damping, **keys), inside=True)
     run.run(0.2)
     moved = np.array(run.angles) - (push / stiffness - 0.1)
     turns = np.flatnonzero(np.diff(np.sign(np.diff(moved))))[1:5] + 1  # ms; the first begins from rest
@@ -183,6 +177,10 @@ def stop_bridge(run: Walled) -> None:
     run.world.alive = False
 
 
+def kill_bridge(run: Walled) -> None:
+    run.world.alive = False
+
+
 def pull_adapter_out(run: Walled) -> None:
     run.world.bridge.lose_bus(run.world._now)
 
@@ -191,10 +189,11 @@ def pull_adapter_out(run: Walled) -> None:
     ("end", "within_s", "mode", "fault"),
     [
         (stop_bridge, 0.001, 0, 0),
+        (kill_bridge, WATCHDOG_S + SLACK_S, 11, 0),  # the watchdog of the drive
         (pull_adapter_out, WATCHDOG_S + SLACK_S, None, DriveFault.BUS_LOST),
         (lambda run: run.host.command(mode=Mode.STOP), 0.0005, None, 0),
     ],
-    ids=["the bridge ends", "the adapter is pulled out", "the host stops"],
+    ids=["the bridge ends", "the bridge is killed", "the adapter is pulled out", "the host stops"],
 )
 def test_an_end_is_zero_torque(end: Any, within_s: float, mode: int | None, fault: int) -> None:
     run = within()
@@ -205,15 +204,6 @@ def test_an_end_is_zero_torque(end: Any, within_s: float, mode: int | None, faul
     assert run.world.bridge.fault == fault
 
 
-def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive() -> None:
-    run = within()
-    run.world.alive = False
-    run.world.run(WATCHDOG_S + SLACK_S)
-    assert (run.world.mode, run.world.torque) == (11, 0.0)
-    run.world.run(0.01)
-    assert abs(run.world.far.register(0x003)) < 1e-3
-
-
 @pytest.mark.parametrize("ending", first_by_default(reversed(ENDINGS), 4))  # dead, both garbled, lost answers
 def test_a_fault_at_any_line_of_a_run(ending: str) -> None:
     """Every loss leads to zero torque in time: the wall ends with the session that rendered it."""
@@ -222,8 +212,7 @@ def test_a_fault_at_any_line_of_a_run(ending: str) -> None:
     of_the_run = RUN_MS * (1 if way == "to drive" else 2)  # the adapter sends OK, too
     for first in range(0, of_the_run, 1 if single else 5):
         run = within()
-        begin = run.world.lines[way] + first
-        run.world.strikes = {(way, number): strike for number in range(begin, begin + length)}
+        run.world.strike(way, strike, length, after=first)
         run.run(1e-3 * RUN_MS)
         fault = run.world.bridge.fault
         assert fault in {0, DriveFault.DRIVE_SILENT}
@@ -295,9 +284,8 @@ def test_an_experiment_that_a_drive_cannot_render(key: str, value: object, says:
 
 
 def test_a_plan_says_what_is_lost() -> None:
-    (check,) = (
-        one for one in plan_of(controller.prepare_controller(walled())).checks if one.name == own_wall.NAME
-    )
+    checks = plan_of(controller.prepare_controller(walled())).checks
+    (check,) = (one for one in checks if one.name == own_wall.NAME)
     for word in ("velocity rate", "estimator", "slew limit", "1000 Hz"):
         assert word in check.text
 
@@ -364,9 +352,8 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
 
     world.bridge.receive_bus = noted  # type: ignore[method-assign]
     device = FramedDevice(world)
-    (result,) = hit(
-        HitRequest(experiment=x, url="moteus://", device=device, verified=True, output=tmp_path), admit
-    )
+    request = HitRequest(experiment=x, url="moteus://", device=device, verified=True, output=tmp_path)
+    (result,) = hit(request, admit)
     recording, judgement = result.recorded.recording, result.recorded.judgement
     trial = recording.rows[recording.rows["phase"] == Phase.TRIAL]
     efforts = np.array(sorted(rendered.values()))
@@ -388,17 +375,15 @@ def test_another_wall_comes_in_free_space_alone_and_within_the_gains() -> None:
     run = Walled(walled(**keys, trial__start=-0.1), inside=True)
     run.run(0.02)
     scale = run.world.drive._words[W.kp_scale]
-    live = controller.prepare_controller(
-        walled(**{**keys, "wall__stiffness": 2.0}, trial__start=-0.1)
-    ).parameters
+    stiffer = walled(**{**keys, "wall__stiffness": 2.0}, trial__start=-0.1)
+    live = controller.prepare_controller(stiffer).parameters
     names = ("float_surface", "float_surface_fraction", "float_stiffness", "float_damping")
     wall = {name: live[name] for name in names}
     assert run.host.configure(**wall).status == Status.OK
     run.run(0.003)
     assert run.world.drive._words[W.kp_scale] == pytest.approx(2.0 * scale, rel=1e-6)
-    assert run.host.configure(**{**wall, "float_stiffness": 20.0 * wall["float_stiffness"]}).status == (
-        Status.INCONSISTENT
-    )
+    beyond = {**wall, "float_stiffness": 20.0 * wall["float_stiffness"]}
+    assert run.host.configure(**beyond).status == Status.INCONSISTENT
     pressed = within()
     assert pressed.host.configure(**wall).status == Status.INSIDE_WALL
 
@@ -411,7 +396,7 @@ def test_the_makers_library_reads_our_wall_as_its_own() -> None:
     multiplex, moteus = pytest.importorskip("moteus.multiplex"), pytest.importorskip("moteus")
     run = within()
     lines: list[bytes] = []
-    run.world.strikes = {("to drive", n): lambda sent: lines.append(sent) or sent for n in range(10_000)}
+    run.world.strike("to drive", lambda sent: lines.append(sent) or sent)
     run.run(0.002)
     frame = bytes.fromhex(lines[-1].split(b" ")[3].decode())
     resolution = moteus.PositionResolution()
@@ -421,9 +406,8 @@ def test_the_makers_library_reads_our_wall_as_its_own() -> None:
     wall = {"lower_bound": math.nan, "upper_bound": -0.05 / (2.0 * math.pi), "ilimit_scale": 0.0}
     wall |= {"kp_scale": 2.0 * 2.0 * math.pi / 60.0, "kd_scale": 0.005 * 2.0 * math.pi / 2.0}
     wall |= {"feedforward_torque": 0.03, "maximum_torque": 0.328, "watchdog_timeout": 0.005}
-    theirs = moteus.Controller(id=1, position_resolution=resolution, transport=transport).make_stay_within(
-        **wall
-    )
+    controller_ = moteus.Controller(id=1, position_resolution=resolution, transport=transport)
+    theirs = controller_.make_stay_within(**wall)
     ours, expected = (_written(multiplex, data) for data in (frame, theirs.data))
     assert ours.keys() == expected.keys()
     for register, value in expected.items():
