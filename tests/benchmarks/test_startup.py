@@ -4,7 +4,6 @@ pytest tests/benchmarks -o addopts="" -s
 """
 
 import os
-import signal
 import statistics
 import subprocess
 import sys
@@ -112,34 +111,6 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
         seconds = shortest_time(2, [*run, *arguments], **options)  # the first may compile
         print(f"  {name}: {seconds:.2f} s, {seconds / numba:.1f} × import numba")
         assert seconds < most * numba
-
-
-def test_a_rehearsed_trial_costs_little_more_than_its_ticks(private: Any) -> None:
-    """The goal for koul-fig6 at 20 kHz is 6 minutes of CPU for 504 trials."""
-    options, _ = private
-    place = Path(options["cwd"])
-    run = [sys.executable, "-m", "rig", "session"]
-    new = [*run, "new", "fig6.toml", "--template", "koul-fig6"]
-    subprocess.run(new, check=True, capture_output=True, **options)
-
-    def rehearsed(seconds: float) -> tuple[int, float]:
-        """Return the trials and CPU seconds of a rehearsal that is interrupted after `seconds`."""
-        with subprocess.Popen(
-            [*run, "run", "fig6.toml", "P01", "--rehearse", "--study", str(place / f"after-{seconds:g}")],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **options,
-        ) as process:  # fmt: skip
-            time.sleep(seconds)
-            process.send_signal(signal.SIGINT)
-            _, _, usage = os.wait4(process.pid, 0)
-            process.returncode = 0
-        trials = len(list((place / f"after-{seconds:g}").rglob("*.parquet")))
-        return trials, usage.ru_utime + usage.ru_stime
-
-    rehearsed(5.0)  # compiles what it needs
-    (few, short_s), (many, long_s) = rehearsed(3.0), rehearsed(7.0)
-    trial_s = (long_s - short_s) / (many - few)
-    print(f"\na rehearsed trial at 20 kHz: {trial_s:.2f} s of CPU (goal 0.71), {many} trials in 7 s")
-    assert trial_s < 3.0 * shortest_time(3, [sys.executable, "-c", "import numba"])
 
 
 def test_a_stop_reaches_the_loop_almost_as_soon_as_an_interpreter_starts() -> None:

@@ -13,6 +13,7 @@ import platform
 import sys
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -61,14 +62,8 @@ def grid() -> list[tuple[str, int, float]]:
 
 
 def row_of(found: Score, tuned: str | None) -> Row:
-    row: Row = {
-        "estimator": found.estimator,
-        "case": found.case,
-        "rate_hz": found.rate_hz,
-        "resolution": found.resolution,
-        "tuned": tuned,
-        "settings": dict(found.settings),
-    }
+    row: Row = {name: getattr(found, name) for name in ("estimator", "case", "rate_hz", "resolution")}
+    row |= {"tuned": tuned, "settings": dict(found.settings)}
     if found.refused is not None:
         return {**row, "refused": True}
     return {**row, **{n: _round(getattr(found, n)) for n in NUMBERS}}
@@ -96,14 +91,9 @@ def make_table(names: Sequence[str]) -> dict[str, Any]:
     for name in names:
         print(f"{name} …", file=sys.stderr)
         rows += measure(name)
-    return {
-        "made_by": REGENERATE,
-        "cost": {
-            "machine": f"{platform.machine()}, {_processor()}",
-            "ns_per_sample": {name: round(cost_ns(case, Variant(name)), 1) for name in names},
-        },
-        "rows": rows,
-    }
+    costs = {name: round(cost_ns(case, Variant(name)), 1) for name in names}
+    machine = f"{platform.machine()}, {_processor()}"
+    return {"made_by": REGENERATE, "cost": {"machine": machine, "ns_per_sample": costs}, "rows": rows}
 
 
 def read_table() -> dict[str, Any]:
@@ -124,51 +114,52 @@ def write_table(table: dict[str, Any]) -> None:
 
 def tuned_hits(resolution: float) -> str:
     """Return the table of the least rms error on the hit, by rate, with the tuned settings."""
-    table = read_table()
-    lines = ["estimator", *(f"{rate // 1000} kHz" for rate in RATES), "settings at 2 kHz", "at 20 kHz"]
-    rows = []
-    for name in _names(table):
+
+    def cells(table: dict[str, Any], name: str) -> list[str]:
         found = {r["rate_hz"]: r for r in _select(table, name, HIT, resolution) if _best(table, r)}
-        cells = [_millimetres(found.get(rate), "rms") for rate in RATES]
-        rows.append([f"`{name}`", *cells, _settings(found.get(2000)), _settings(found.get(20_000))])
-    return guides.markdown(lines, rows)
+        errors = [_millimetres(found.get(rate), "rms") for rate in RATES]
+        return [*errors, _settings(found.get(2000)), _settings(found.get(20_000))]
+
+    return _by_estimator(
+        [*(f"{rate // 1000} kHz" for rate in RATES), "settings at 2 kHz", "at 20 kHz"], cells
+    )
 
 
 def noise_and_delay() -> str:
     """Return the table of delay and noise at rest of the tuned estimators, at 2 and 20 kHz."""
-    table = read_table()
-    columns = ("delay", "error without it", "toggling count")
-    lines = ["estimator", *(f"{text}, {rate} kHz" for rate in (2, 20) for text in columns)]
-    rows = []
-    for name in _names(table):
+
+    def cells(table: dict[str, Any], name: str) -> list[str]:
         found = {r["rate_hz"]: r for r in _select(table, name, HIT, COARSE) if _best(table, r)}
-        cells = []
-        for rate in (2000, 20_000):
-            row = found.get(rate)
-            cells += [
+        rows = [found.get(rate) for rate in (2000, 20_000)]
+        return [
+            text
+            for row in rows
+            for text in (
                 _milliseconds(row),
-                _millimetres(row, "rms_without_delay"),
-                _millimetres(row, "toggling_rms"),
-            ]
-        rows.append([f"`{name}`", *cells])
-    return guides.markdown(lines, rows)
+                *(_millimetres(row, n) for n in ("rms_without_delay", "toggling_rms")),
+            )
+        ]
+
+    columns = ("delay", "error without it", "toggling count")
+    return _by_estimator([f"{text}, {rate} kHz" for rate in (2, 20) for text in columns], cells)
 
 
 def default_motions() -> str:
     """Return the table of rms errors with default settings at 2 kHz on every reference motion."""
+    columns = list(product(RESOLUTIONS, SIGNALS))
+
+    def cells(table: dict[str, Any], name: str) -> list[str]:
+        chosen = [_select(table, name, motion, resolution) for resolution, motion in columns]
+        rows = [next((r for r in one if r["rate_hz"] == 2000 and r["tuned"] is None), None) for one in chosen]
+        return [_millimetres(row, "rms") for row in rows]
+
+    return _by_estimator([f"{motion}, {1e6 * resolution:g} µm" for resolution, motion in columns], cells)
+
+
+def _by_estimator(head: list[str], cells: Callable[[dict[str, Any], str], list[str]]) -> str:
     table = read_table()
-    motions = list(SIGNALS)
-    lines = ["estimator", *(f"{m}, {_micrometres(d)}" for d in RESOLUTIONS for m in motions)]
-    rows = []
-    for name in _names(table):
-        cells = []
-        for resolution in RESOLUTIONS:
-            for motion in motions:
-                chosen = _select(table, name, motion, resolution)
-                row = next((r for r in chosen if r["rate_hz"] == 2000 and r["tuned"] is None), None)
-                cells.append(_millimetres(row, "rms"))
-        rows.append([f"`{name}`", *cells])
-    return guides.markdown(lines, rows)
+    names = dict.fromkeys(row["estimator"] for row in table["rows"])
+    return guides.markdown(["estimator", *head], [[f"`{name}`", *cells(table, name)] for name in names])
 
 
 def cost() -> str:
@@ -218,14 +209,8 @@ def _merge(fresh: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _names(table: dict[str, Any]) -> list[str]:
-    return list(dict.fromkeys(row["estimator"] for row in table["rows"]))
-
-
-def _select(table: dict[str, Any], name: str, case: str, resolution: float) -> list[Row]:
-    return [
-        r for r in table["rows"] if (r["estimator"], r["case"], r["resolution"]) == (name, case, resolution)
-    ]
+def _select(table: dict[str, Any], *key: Any) -> list[Row]:
+    return [r for r in table["rows"] if (r["estimator"], r["case"], r["resolution"]) == key]
 
 
 def _best(table: dict[str, Any], row: Row) -> bool:
@@ -252,10 +237,6 @@ def _millimetres(row: Row | None, number: str) -> str:
 
 def _milliseconds(row: Row | None) -> str:
     return "–" if row is None or row["delay_s"] is None else f"{1e3 * row['delay_s']:.2f}"
-
-
-def _micrometres(resolution: float) -> str:
-    return f"{1e6 * resolution:g} µm"
 
 
 def _round(value: float) -> float | None:

@@ -10,6 +10,7 @@ from rig import config
 from rig.config import Experiment
 from rig.devices.framed import FramedDevice
 from rig.doctor import gate
+from rig.experiments.hits import admission
 from rig.experiments.hits import hit as hits
 from rig.experiments.hits.hit import HitRequest, in_effect
 from sim_backend.board.make_device import make_device
@@ -25,18 +26,25 @@ class Started(Exception):  # noqa: N818  (it is no error)
     """Raised where a trial would begin: the hit was allowed."""
 
 
+class Pushed(Exception):  # noqa: N818  (it is no error)
+    """Raised where the torque pulse would begin."""
+
+
+def end_before_the_pulse(monkeypatch: pytest.MonkeyPatch) -> None:
+    def pulse(*_: Any, **__: Any) -> Any:
+        raise Pushed
+
+    monkeypatch.setattr(admission, "pulse", pulse)
+
+
 def open_as_real(monkeypatch: pytest.MonkeyPatch, travel_s: float) -> None:
     """Let each hit open such a device whatever its URL; a trial that begins raises `Started`."""
     claim_to_be_real(monkeypatch)
 
     @contextmanager
     def opened(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
-        device, _ = make_device(
-            config.rig_model(request.experiment),
-            False,
-            position_rate_default=1000,
-            position_rate_maximum=20_000,
-        )
+        rates = {"position_rate_default": 1000, "position_rate_maximum": 20_000}
+        device, _ = make_device(config.rig_model(request.experiment), False, **rates)
         memory = MemoryLink(device)
         memory.clock.virtual = False  # type: ignore[attr-defined]
         with FramedDevice(memory) as framed:

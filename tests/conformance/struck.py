@@ -54,17 +54,7 @@ class InMemory:
 
 
 class StruckTrial:
-    """One trial, run to its end, and how it ended.
-
-    Attributes
-    ----------
-    error
-        How it ended, None where it finished.
-    messages
-        What the host reported beside that.
-    path
-        Its recording.
-    """
+    """One trial, run to its end, with its recording, its error (None: it finished) and the host's other messages."""
 
     def __init__(
         self,
@@ -78,12 +68,10 @@ class StruckTrial:
         self.far_end = far_end
         self.path = directory / "trial.rigcap"
         self.error: RigError | None = None
-        options: dict[str, Any] = {"verified": True, "seed": 0, "sealed": False}
         try:
             with far_end.open() as device:
-                self.messages = trial_on(
-                    device, experiment, self.path, law=law, progress=progress, **options
-                ).messages
+                end = trial_on(device, experiment, self.path, law=law, progress=progress, sealed=False)
+                self.messages = end.messages
         except RigError as error:
             self.error, self.messages = error, tuple(error.messages)
 

@@ -17,7 +17,6 @@ from rig.core.errors import PlanError
 from rig.devices.framed import FramedDevice
 from rig.doctor import gate as gates
 from rig.doctor.gate import check_armable
-from rig.experiments.hits import admission
 from rig.experiments.hits import examine as examining
 from rig.experiments.hits import hit as hits
 from rig.experiments.hits._on_device import OnDevice, Trials
@@ -32,7 +31,7 @@ from sim_backend.ends.link import MemoryLink
 from sim_backend.ends.pty import FIRMWARE_RATE_MAXIMUM, POSITION_RATE_MAXIMUM
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.firmware import need_compiler
-from tests.conformance.gated import REFUSED, SLOW_S, Started, open_as_real
+from tests.conformance.gated import REFUSED, SLOW_S, Pushed, Started, end_before_the_pulse, open_as_real
 from tests.conformance.made_links import link as made_link
 from tests.conformance.tiers import first_by_default
 
@@ -213,14 +212,8 @@ def test_every_entry_passes_the_gate(
 def test_every_entry_pushes_a_real_rig_before_a_person_is_armed(
     entry: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Pushed(Exception):  # noqa: N818  (it is no error)
-        pass
-
-    def pushed(*_: Any, **__: Any) -> Any:
-        raise Pushed
-
     open_as_real(monkeypatch, 1e-4)
     monkeypatch.setattr(DeviceRunner, "_device", lambda *_: None)
-    monkeypatch.setattr(admission, "pulse", pushed)
+    end_before_the_pulse(monkeypatch)
     with pytest.raises(Pushed):
         entry(tmp_path, presets.load("koul-rigid"), PERSON)

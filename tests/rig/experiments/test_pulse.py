@@ -21,7 +21,6 @@ from rig.config import presets
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, DeviceFaultError, PlanError, RigError
 from rig.devices.framed import FramedDevice
-from rig.experiments.hits import admission
 from rig.experiments.hits._on_device import OnDevice, Trials
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
@@ -36,6 +35,7 @@ from sim_backend.board.lockstep import Lockstep
 from sim_backend.ends.link import MemoryLink
 from tests.benchmarks.pulses import FAULTS, pulsed
 from tests.conformance.firmware import need_compiler
+from tests.conformance.gated import Pushed, end_before_the_pulse
 from tests.conformance.tiers import first_by_default
 
 RIGID = config.override(presets.load("koul-rigid"), {"rig.amplifier.current_monitor": False})
@@ -209,14 +209,7 @@ def test_a_real_board_that_runs_the_law_pushes_before_a_person_is_armed(real: No
 @pytest.fixture
 def before_pulse(real: None, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a context that requires a torque pulse of a real rig, and ends before it moves anything."""
-
-    class Pushed(Exception):  # noqa: N818  (it is no error)
-        pass
-
-    def pushed(*_: Any, **__: Any) -> None:
-        raise Pushed
-
-    monkeypatch.setattr(admission, "pulse", pushed)
+    end_before_the_pulse(monkeypatch)
     return pytest.raises(Pushed)
 
 

@@ -1,6 +1,5 @@
 """The share of damping that is rendered if one count saturates the motor: closed forms and effects on widths."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -75,11 +74,3 @@ def test_a_damping_that_is_not_rendered_counts_towards_no_measure() -> None:
     assert (found.damping_range, found.area) == (1.0, 15.0)
     assert found.not_rendered == (2.0, 3.0)
     assert not found.range_capped
-
-
-def test_a_damping_without_a_wall_is_a_hole_and_no_end() -> None:
-    found = width_of((0.0, 0.0, 1.0), (1.0, 20.0, 1.0), (2.0, 0.0, 1.0), (3.0, 10.0, 1.0), (4.0, 0.0, 1.0))
-    assert (found.holes, found.damping_range, found.stiffness_peak) == ((0.0, 2.0), 3.0, 20.0)
-    assert found.area == pytest.approx(10.0 + 10.0 + 5.0)
-    assert found.stiffness_undamped == 0.0
-    assert not math.isnan(found.lowest)
