@@ -56,6 +56,5 @@ class HandTurnedLoop:
         self.ring.put(control_words.EXCHANGES, done + 1)
 
     def end(self, reason: int = 1) -> None:
-        """Set the end reason, as a loop that has returned."""
         self.ring.put(control_words.END_REASON, reason)
         self.ring.put(control_words.LOOP_DONE, 1)

@@ -1,8 +1,4 @@
-"""The conformance suite of recording formats, as a function of a writer and a reader.
-
-A new format begins by calling `check_recording_format` with a function that writes a recording somewhere and
-one that reads it back. Features that a format lacks are listed in its `Limits`, not skipped.
-"""
+"""The conformance suite of recording formats, as a function of a writer and a reader."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -24,15 +20,9 @@ AWKWARD = (0.1, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, float("nan"), float
 
 @dataclass(frozen=True)
 class Limits:
-    """The features that a format has or lacks.
-
-    `nan_bits`: it keeps the payload of a NaN. `losses`: it can report losses of its source. `damage`: it detects
-    a changed byte.
-    """
-
-    nan_bits: bool = True
-    losses: bool = True
-    damage: bool = True
+    nan_bits: bool = True  # the format keeps the payload of a NaN
+    losses: bool = True  # it can report losses of its source
+    damage: bool = True  # it detects a changed byte
 
 
 Write = Callable[[Recording], Path]

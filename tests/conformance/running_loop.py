@@ -15,7 +15,6 @@ from tests.conformance.started import forked
 
 @contextmanager
 def loop_process(info: dict[str, Any]) -> Iterator[BaseProcess]:
-    """Fork the process, yield it when its loop runs, and kill it at the end of the block."""
     Ring.allocate(1).close()  # loads compiled code, which each child would load again
     with forked(_run_loop, info) as (process, messages):
         assert messages.recv() == "ready"

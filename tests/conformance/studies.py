@@ -44,7 +44,6 @@ class Person:
 
 
 def protocol(**sections: Any) -> dict[str, Any]:
-    """Return a protocol of two conditions; `sections` change its keys."""
     plain: dict[str, Any] = {
         "study": {"title": "A study", "preset": PRESET, "participants": 4, "seed": 7},
         "search": {"rule": "staircase", "lowest": 100.0, "highest": 900.0, "step": 25.0},
@@ -89,7 +88,6 @@ class Sitting:
     asked: list[int] = field(default_factory=list)
 
     def record(self, kind: str, /, **content: Any) -> int:
-        """Write an event to the log, apply it to the state, and return its number."""
         event = self.log.append(kind, **content)
         self.state.apply(event)
         return event.number
@@ -218,7 +216,6 @@ def sitting(
 def write_study(
     where: Path, mapping: Mapping[str, Any], people: Mapping[str, Person], **options: Any
 ) -> list[Path]:
-    """Write complete sessions of these people, in this order; return their directories."""
     made = []
     with without_sync():
         for row, (code, person) in enumerate(people.items()):

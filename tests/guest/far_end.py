@@ -34,14 +34,11 @@ class Left:
 
 
 class FarEnd:
-    """A running device process."""
-
     def __init__(self, pipe: Any) -> None:
         self._pipe = pipe
         self._left: Left | None = None
 
     def left(self) -> Left:
-        """Stop the device and return its last state."""
         if self._left is None:
             self._pipe.send(None)
             if not self._pipe.poll(WAIT_S):

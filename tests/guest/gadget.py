@@ -29,8 +29,6 @@ def is_here() -> bool:
 
 
 class AcmGadget:
-    """The gadget and its cable."""
-
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._controller = next(iter(CONTROLLERS.iterdir())).name

@@ -14,8 +14,6 @@ FETCH_TIMEOUT_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """An unpacked kernel: its release, its image, and the directory of its modules."""
-
     release: str
     image: Path
     modules: Path
@@ -40,7 +38,6 @@ def unpacked_kernel(cache: Path) -> Kernel:
 
 
 def _newest_image() -> str:
-    """Return the name of the package that the meta package depends on."""
     text = _run("apt-cache", "depends", META_PACKAGE)
     found = re.search(r"Depends: (linux-image-\S+)", text)
     if found is None:

@@ -35,7 +35,6 @@ class PluggedPico:
         return None
 
     def status(self) -> dict[str, Any]:
-        """Return the state of the board at its pins."""
         return dict(json.loads((SHARE / STATUS).read_text()))
 
 

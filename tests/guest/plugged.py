@@ -28,14 +28,12 @@ class Plugged:
         return f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/{self.serial}"
 
     def unplug(self) -> None:
-        """Unplug the device and wait until Linux and udev have handled it."""
         self.bus.unplug()
         vhci.wait_for_free(self.port)
         vhci.wait_for_no_device(self.serial)
 
 
 def pipes() -> tuple[socket.socket, socket.socket]:
-    """Return a connected pair of packet sockets, one for the bus and one for the device."""
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 
@@ -61,7 +59,6 @@ def plugged(serial: str, ends: tuple[socket.socket, socket.socket] | None = None
 
 @contextlib.contextmanager
 def plugged_rig(serial: str, model: RigModel) -> Iterator[Plugged]:
-    """Plug in a simulated rig, which runs in another process."""
     near, device = pipes()
     with far_end(model, lambda: UsbPort(device)) as end, plugged(serial, (near, device)) as made:
         made.far_end = end

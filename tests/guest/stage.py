@@ -69,7 +69,6 @@ def _run(cache: Path, kernels: Path, files: list[Path], arguments: list[str]) ->
 
 
 def _prepare(kernels: Path) -> list[Path]:
-    """Compile the code of the tests; return the files that they read."""
     environment = {**os.environ, **ONE_CPU_FOR_ALL, "HAPTIC_RIG_CACHE": str(kernels)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH"))))

@@ -52,7 +52,6 @@ def test_rig_finds_it_and_reads_its_dictionary(board: Any) -> None:
 
 
 def supervise_until(host: Host, frames: int) -> list[m.Batch]:
-    """Send SUPERVISE commands until this many BATCH frames have arrived, and return them."""
     batches: list[m.Batch] = []
     deadline = time.monotonic() + LONG_S
     while len(batches) < frames:

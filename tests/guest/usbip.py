@@ -1,11 +1,8 @@
 """A USB bus in this process, to which Linux attaches a device by USB/IP: enumeration, packets, and faults.
 
-The kernel's vhci_hcd is the host controller. The device has a bulk endpoint each way; a `Shape` answers its control
-requests, and its packets pass a SOCK_SEQPACKET, one message each. Format of the messages: the kernel's
-Documentation/usb/usbip_protocol.rst, after OP_REP_IMPORT.
-
-As on the wire, a transfer in ends with a short packet, a full buffer or an idle device; a packet that does not fit is
-an overflow; a halted endpoint stays so until CLEAR_FEATURE; without a reply a transfer waits until it is withdrawn.
+The device has a bulk endpoint each way; its packets pass a SOCK_SEQPACKET, one message each. Format of the messages:
+the kernel's Documentation/usb/usbip_protocol.rst, after OP_REP_IMPORT. As on the wire, a transfer in ends with a short
+packet, a full buffer or an idle device.
 """
 
 import contextlib
@@ -205,7 +202,6 @@ class Bus:
         self._host.sendall(_UNLINKED.pack(UNLINKED, sequence, 0, 0, 0, status))
 
     def _move(self, endpoint: _Endpoint) -> None:
-        """Complete as many transfers of an endpoint as possible."""
         while endpoint.waiting and not endpoint.silent:
             transfer = endpoint.waiting[0]
             if endpoint.halted:

@@ -57,7 +57,6 @@ def devices_with(serial: str) -> list[Path]:
 
 
 def wait_for_device(serial: str) -> None:
-    """Wait until a device is enumerated and udev has handled it."""
     wait_until(
         f"device {serial} is enumerated",
         lambda: any((path / "bConfigurationValue").exists() for path in devices_with(serial)),
@@ -66,7 +65,6 @@ def wait_for_device(serial: str) -> None:
 
 
 def wait_for_no_device(serial: str) -> None:
-    """Wait until a device is gone and udev has handled that."""
     wait_until(f"device {serial} is gone", lambda: not devices_with(serial))
     settle()
 

@@ -94,12 +94,10 @@ class Inlets:
         self.values, self.stamps, self.markers = [], [], []
 
     def offset_s(self) -> float:
-        """Return the offset added to the host's clock, from the stream's description."""
         clock = self.streams["samples"].info(FIND_S).desc().child("clock")
         return float(clock.child_value("offset_s"))
 
     def pull_until(self, mark: str) -> None:
-        """Pull until a marker of that name has arrived, with everything sent before it."""
         deadline = time.monotonic() + FIND_S
         while mark not in [content["mark"] for _, content in self.markers]:
             assert time.monotonic() < deadline, self.markers
@@ -107,14 +105,12 @@ class Inlets:
         self.pull()
 
     def units(self) -> dict[str, str]:
-        """Return the unit of each channel, from the stream's description."""
         described = self.streams["samples"].info(FIND_S).as_xml()
         return dict(re.findall(r"<label>(.*?)</label>\s*<unit>(.*?)</unit>", described))
 
 
 @pytest.fixture(scope="module")
 def streamed(pylsl: Any) -> Iterator[tuple[LslMarks, Inlets]]:
-    """The process that streams this process's loops, and its inlets."""
     name = f"test-{uuid.uuid4().hex[:8]}"
     with LslMarks(name=name, expected=("rotary", 1000.0)) as marks:
         marks.wait()

@@ -51,7 +51,6 @@ UNITS = {"s", "rad", "rad/s", "m", "m/s", "N.m", "N", "A"}
 
 
 def record_hit(directory: Any, preset: Any, **changes: Any) -> Any:
-    """Return a sealed hit of a rig at a low rate."""
     experiment = config.override(presets.load(preset), {**QUICK, **changes})
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
         return trial_on(device, experiment, directory / f"{preset}.rigcap").recording

@@ -27,7 +27,6 @@ RULES: Mapping[str, Mapping[str, Any]] = {
 
 
 def people(*limits: tuple[float, float], **settings: Any) -> dict[str, Person]:
-    """Return people by code, with their limits under the two conditions and nearly certain verdicts."""
     return {
         f"P{number:02d}": Person(
             threshold=lambda condition, _, pair=pair: pair[condition == "dual"],
@@ -38,7 +37,6 @@ def people(*limits: tuple[float, float], **settings: Any) -> dict[str, Person]:
 
 
 def reported_inferences(found: StudyAnalysis) -> list[float]:
-    """Return every p value and interval of differences that an analysis reports."""
     differences = [*found.paired, *(one for model in found.mixed for one in model.contrasts)]
     values = [value for one in differences for value in (one.low, one.high, one.p, one.holm)]
     return [value for value in values if math.isfinite(value)]

@@ -25,7 +25,6 @@ from tests.conformance.tiers import first_by_default
 
 
 def blank(kind: Any, **known: Any) -> Any:
-    """Return a row with these values and no others."""
     return kind(**dict.fromkeys(one.name for one in fields(kind) if one.default is MISSING) | known)
 
 

@@ -44,7 +44,6 @@ class World:
         return [(int(d) - self.up_ns) * self.under / self.over for d in device_ns]
 
     def error_ns(self, fit: Any, device_ns: Any) -> Any:
-        """Return the fitted minus the true host time."""
         return (fit.host_of(device_ns) - self.start_ns) - np.array(self.host(device_ns))
 
     def exchanges(

@@ -24,7 +24,6 @@ WAIT_S = 50.0
 
 
 def announce_and_wait(announce: Callable[[Any], None]) -> None:
-    """Announce the process, then wait for ever."""
     announce(os.getpid())
     threading.Event().wait()
 

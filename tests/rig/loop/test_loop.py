@@ -71,7 +71,6 @@ class Receiver:
         self.buffers, self.ring, self.settings = Buffers.allocate(), Ring.allocate(1), settings().as_array()
 
     def feed(self, data: bytes) -> int:
-        """Receive bytes and return the number of samples that they passed."""
         b, p = self.buffers, self.buffers.progress
         filled = int(p[0]["filled"])
         assert filled + len(data) <= RECEIVE_BYTES

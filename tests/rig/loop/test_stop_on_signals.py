@@ -15,7 +15,6 @@ pytestmark = pytest.mark.signals
 
 @pytest.fixture(autouse=True)
 def handlers() -> Iterator[None]:
-    """Set the handlers of a new program."""
     before = {number: signal.getsignal(number) for number in STOPPING}
     for number in STOPPING:  # which a shell may have set to be ignored
         signal.signal(number, signal.SIG_DFL)

@@ -49,7 +49,6 @@ def loop_settings(**changes: Any) -> LoopSettings:
 def ran(
     device: BatchDevice, bundle: Any = None, *, memory: Ring | None = None, live: Any = None, **changes: Any
 ) -> Any:
-    """Run the loop to its end and return the thread with the reason."""
     memory = memory or Ring.allocate(8192)
     supervise.run.prepare()
     thread = SupervisedThread(device, bundle or controlled(), loop_settings(**changes), memory, live=live)
@@ -60,7 +59,6 @@ def ran(
 
 
 def silent_behind(counts: Sequence[int], *rest: Any, **options: Any) -> BatchDevice:
-    """Return a device that sends these counts, then nothing."""
     device = BatchDevice(counts, *rest, **options)
     device.at[len(counts)] = lambda: setattr(device, "silent", True)
     return device
@@ -71,7 +69,6 @@ def rows_of(thread: LoopThread) -> np.ndarray:
 
 
 def taps(ticks: int, depth: int = 12, seed: int = 1) -> list[int]:
-    """Return counts of a handle that is pushed in and out of the wall."""
     noise = np.random.default_rng(seed).integers(-1, 2, ticks)
     return (np.rint(depth * np.sin(np.arange(ticks) / 15.0)).astype(int) + noise).tolist()
 
@@ -440,8 +437,6 @@ def as_device_parameters(values: Sequence[float]) -> dict[str, float]:
 
 
 class Changing:
-    """A run in which the wall changes at given ticks."""
-
     def __init__(
         self, counts: Sequence[int], *sets: tuple[int, float], position: float = 0.0, **options: Any
     ) -> None:
@@ -468,7 +463,6 @@ class Changing:
         return self.thread.end()
 
     def replay(self) -> np.ndarray:
-        """Return the rows computed again from the recorded parameter sets."""
         fresh = controlled()
         sets = np.array(
             [[one["tick"], one["wall_position"], *one["parameters"]] for one in self.thread.parameter_sets()]

@@ -34,8 +34,6 @@ class Measured(NamedTuple):
 
 @group
 class Plugged(NamedTuple):
-    """A group with a plugged-in law and an address."""
-
     law: LawPlug
     state: Floats
     address: Address
@@ -43,8 +41,6 @@ class Plugged(NamedTuple):
 
 @group
 class Both(NamedTuple):
-    """A group whose members are groups."""
-
     wanted: Annotated[Wanted, type_of(Wanted)]
     measured: Annotated[Measured, type_of(Measured)]
 

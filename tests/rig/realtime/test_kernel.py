@@ -1,8 +1,4 @@
-"""The kernel decorator and its disk cache: fast at the second start, and never stale.
-
-Each case runs in processes of its own, on a copy of `kernel.py` among packages made for the test: a stale
-cache shows only across processes, and nothing here may touch the real cache.
-"""
+"""The kernel decorator and its disk cache: fast at the second start, and never stale."""
 
 import ast
 import functools
@@ -65,7 +61,7 @@ print(json.dumps([value, sum(law.stats.cache_hits.values()), sum(law.stats.cache
 
 
 class Project:
-    """A small package around the real decorator: a law, a helper in another file, and its constant in a third."""
+    """A package around a copy of the decorator: a law, a helper in another file, and its constant in a third."""
 
     def __init__(self, place: Path) -> None:
         self.root, self.cache = place / "project", place / "cache"

@@ -223,7 +223,6 @@ def read_until(address: Any, message: Any, into: Any, newest: Any, found: Any) -
 
 @kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64))
 def write_many(address: Any, message: Any, values: Any, times: Any) -> Any:  # type: ignore[no-untyped-def]
-    """Write sets without pause and return the number of the last one."""
     number = 0
     for n in range(times):
         for i in range(len(values)):

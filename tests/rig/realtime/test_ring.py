@@ -64,7 +64,6 @@ def spin_until_stopped(control: Any) -> Any:
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
 def trade_tokens(mailbox: Any, token: Any, times: Any) -> Any:
-    """Swap a token with the one in the mailbox `times` times, and return the last."""
     for _ in range(times):
         token = exchange_word(mailbox, token)
     return token
@@ -79,7 +78,6 @@ def in_thread(function: Any, *arguments: Any) -> Any:
 
 
 def descriptors_of_rings() -> Any:
-    """Return the number of this process's descriptors that are memory of a ring."""
     found = 0
     for name in os.listdir("/proc/self/fd"):
         with suppress(OSError):

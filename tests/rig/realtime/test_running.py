@@ -22,7 +22,6 @@ INFO = {"url": "serial:///dev/ttyTEST", "recording": "here.rigcap"}
 
 
 def loops_of(*pids: int) -> list[running.RunningLoop]:
-    """Return the loops of these processes; other tests may run loops too."""
     return [loop for loop in running.running() if loop.pid in pids]
 
 
@@ -149,7 +148,6 @@ def test_command_stops_and_names_a_loop(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def wait_for_stop(ring: Ring) -> None:
-    """Wait for the stop word as a loop does, then end."""
     deadline = time.monotonic() + 60
     while ring.get(control_words.STOP) == 0 and time.monotonic() < deadline:
         time.sleep(0.001)

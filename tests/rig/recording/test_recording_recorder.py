@@ -176,8 +176,6 @@ def test_partial_writes_are_continued() -> None:
 
 
 class Producer:
-    """A loop that numbers its rows for ever."""
-
     def __init__(self, ring: Ring) -> None:
         self.ring, self.rows, self.written = ring, example_rows(ring.capacity), 0
 

@@ -75,7 +75,6 @@ class Seated(ABC):
     desk: AskingDesk
 
     def sees(self, *texts: str) -> None:
-        """Wait until the screen shows all these texts."""
         until(lambda: all(text in self.screen for text in texts), f"{texts} on the screen:\n{self.screen}")
 
     @property
@@ -215,7 +214,6 @@ class AtPage(Seated):
 
     @property
     def session(self) -> dict[str, Any]:
-        """Return the session that the operator's page shows."""
         return self.client.newest["session"]
 
     @property

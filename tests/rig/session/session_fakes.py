@@ -44,7 +44,6 @@ SHORT_SEARCH: Mapping[str, Any] = {  # one trial
 
 
 def protocol_of(**sections: Any) -> Protocol:
-    """Return a short protocol about koul-rigid; given sections replace the default ones."""
     search = {"rule": "staircase", "lowest": 100.0, "highest": 600.0, "step": 25.0}
     table: dict[str, Any] = {
         "study": study(),
@@ -66,7 +65,6 @@ def started(directory: Path, protocol: Protocol | None = None) -> Session:
 
 
 def rehearsed(session: Session, runner: FakeRunner, person: Person) -> SessionState:
-    """Conduct a session on its simulated clock with a simulated person, and return its final state."""
     assert isinstance(session.clock, Day)
     with session:
         return conduct(session, runner, RehearsalDesk(person, session.clock))

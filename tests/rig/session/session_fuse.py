@@ -1,8 +1,7 @@
 """Simulate a process that dies at a call that changes the disk: from the chosen call on all such calls raise an error.
 
-Clean-up code of the session then has no effect, as if the process were gone. A write at which the process dies stores
-the first half of its bytes. Rows of a capture are written by compiled code and not counted here: a resumed session
-moves an incomplete capture aside, at whichever row it ends.
+A write at which the process dies stores the first half of its bytes. Rows of a capture are written by compiled code and
+not counted here: a resumed session moves an incomplete capture aside.
 """
 
 import errno
@@ -67,8 +66,6 @@ class FullDisk:
 
 
 class FusedFile(io.FileIO):
-    """A file that reports its writes and truncations to the fuse."""
-
     fuse: Fuse | FullDisk
 
     def write(self, data: Any) -> Any:

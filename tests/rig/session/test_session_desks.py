@@ -141,7 +141,6 @@ def test_a_silent_desk_ends_a_hit(sit: Sit) -> None:
 
 
 def wait_for_wish(hand: SharedHand, right: Callable[[Wish], bool]) -> Wish:
-    """Wait until the request to the hand fulfils a condition, and return it."""
     found: list[Wish] = []
 
     def is_there() -> bool:

@@ -174,8 +174,6 @@ def test_two_processes_never_write_the_same_session(tmp_path: Path) -> None:
 
 
 class Failing(io.FileIO):
-    """A file that raises errors for the operations named in `fails`."""
-
     fails: set[str]
 
     def write(self, data: Any) -> Any:

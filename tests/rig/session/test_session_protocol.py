@@ -376,7 +376,6 @@ def test_a_code_that_identifies_a_person_is_refused(code: str, words: str) -> No
 
 @cache
 def editor() -> Any:
-    """Return an editor's validator of the JSON schema."""
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.Draft202012Validator.check_schema(json_schema())
     return jsonschema.Draft202012Validator(json_schema())
