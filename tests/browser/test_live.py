@@ -229,9 +229,7 @@ def test_whatever_ends_the_page_ends_what_it_moves(
             os.kill(pid, signal.SIGCONT)
 
 
-def test_a_connection_that_is_cut_ends_what_its_page_moves(
-    cable: Any, open_page: Any, tmp_path: Path
-) -> None:
+def test_a_cut_connection_ends_what_its_page_moves(cable: Any, open_page: Any, tmp_path: Path) -> None:
     """Neither end is notified: the page still shows the newest state, and its STOP is lost."""
     page = open_page(cable.url)
     drag(page)

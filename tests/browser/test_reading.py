@@ -62,9 +62,7 @@ def tab_to(page: Any, element: Any) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_text_stands_out_and_every_control_says_its_name(
-    scheme: str, console: Any, open_page: Any
-) -> None:
+def test_each_text_stands_out_and_each_control_has_a_name(scheme: str, console: Any, open_page: Any) -> None:
     page = open_page(console.url, color_scheme=scheme)
     page.get_by_text("By linear theory with").wait_for()
     for name in VIEWS:

@@ -23,9 +23,7 @@ def recordings(tmp_path: Path) -> Path:
     return place
 
 
-def test_a_recording_is_found_opened_replayed_drawn_exported_and_kept_in_the_trash(
-    recordings: Path, console_page: Any
-) -> None:
+def test_a_recording_is_found_replayed_exported_and_restored(recordings: Path, console_page: Any) -> None:
     page = console_page
     page.get_by_role("button", name="Recordings", exact=True).click()
     rows = page.locator(".found tbody tr")

@@ -134,9 +134,7 @@ def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_han
         3,
     ),
 )
-def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(
-    name: str, changes: Any, tmp_path: Path
-) -> None:
+def test_a_hit_without_bytes_has_the_numbers_of_a_recording(name: str, changes: Any, tmp_path: Path) -> None:
     experiment = config.override(presets.load(name), {**LONGER, **changes, "trial.seed": 5})
     simulator = HitSimulator(experiment)
     without_bytes = simulator.hit(experiment.wall.stiffness, experiment.wall.damping)

@@ -101,9 +101,7 @@ def test_a_rig_is_a_name_or_a_file_with_the_same_option(run: Any, tmp_path: Path
 
 
 @pytest.mark.usefixtures("coarse")
-def test_a_run_that_ends_early_still_gives_verdict_picture_and_the_hits_before_it(
-    run: Any, tmp_path: Path
-) -> None:
+def test_a_run_that_ends_early_gives_verdict_picture_and_the_hits_before(run: Any, tmp_path: Path) -> None:
     limit = "rig.limits.position_maximum=0.005"
     throwing = ["-K", "1500", "-B", "0", "--effort", "0.5", "--set", limit, *QUICK]
     code, out, err = run("hit", "--format", "svg", *throwing)
@@ -143,9 +141,7 @@ def test_a_device_of_another_rig_is_refused_before_anything_moves(
     assert not list(tmp_path.glob("**/*.parquet"))
 
 
-def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
-    run: Any, tmp_path: Path
-) -> None:
+def test_an_unwritable_directory_is_refused_before_anything_moves(run: Any, tmp_path: Path) -> None:
     (tmp_path / "recordings").write_text("a file in the way", encoding="utf-8")
     code, _, err = run("hit", "--no-plot")
     assert code != 0
@@ -181,7 +177,7 @@ def kill_as_it_grows(directory: Path, over: threading.Event) -> None:
 
 @pytest.mark.signals
 def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recording(
-    main: Callable[..., int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    main: Callable[..., int], tmp_path: Path, capfd: Any
 ) -> None:
     """A shell starts `nohup … &` with SIGINT ignored; `test_nothing_is_left` tests SIGINT that is not ignored."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -263,16 +259,14 @@ def test_the_interpreter_adds_nothing_when_it_ends(output: str, expected: int, u
     assert "Traceback" not in done.stderr
 
 
-def test_a_file_name_that_is_not_utf_8_is_shown(main: Any, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_file_name_that_is_not_utf_8_is_shown(main: Any, capfd: Any) -> None:
     assert main("experiment", "preset", "--json", "\udcff.toml") == 2
     out, err = capfd.readouterr()
     assert "\\udcff.toml" in err
     assert json.loads(out)["error"]["error"].startswith("preset \udcff.toml")
 
 
-def test_a_pipe_that_breaks_elsewhere_is_an_error(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_that_breaks_elsewhere_is_an_error(monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
     def breaks(**_: Any) -> None:
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 

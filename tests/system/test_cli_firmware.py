@@ -13,9 +13,7 @@ from tests.firmware import cross
 from tests.rig.firmware.test_firmware_flash import IMAGE
 
 
-def test_an_image_is_flashed_to_the_drive_of_a_pico(
-    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_image_is_flashed_to_a_pico(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     image, drive = tmp_path / "a.uf2", tmp_path / "RPI-RP2"
     image.write_bytes(write_uf2([Piece(0x1000_0000, IMAGE)], RP2040))
     drive.mkdir()

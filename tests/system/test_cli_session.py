@@ -39,9 +39,7 @@ def study(rehearsal: tuple[Path, str]) -> Path:
     return rehearsal[0]
 
 
-def test_a_rehearsal_is_complete_in_its_own_directory_and_shows_no_wall(
-    rehearsal: tuple[Path, str], run: Any
-) -> None:
+def test_a_rehearsal_is_complete_in_its_own_directory_and_shows_no_wall(rehearsal: Any, run: Any) -> None:
     place, printed = rehearsal
     assert "session of P01: complete" in printed
     assert not any(word in printed for word in OF_THE_WALL)
@@ -58,9 +56,7 @@ def test_a_rehearsal_is_complete_in_its_own_directory_and_shows_no_wall(
 
 
 @pytest.mark.exhaustive("::test_a_rehearsal_is_complete_in_its_own_directory_and_shows_no_wall")
-def test_a_rehearsal_starts_again_on_request_and_never_replaces_a_persons_session(
-    tmp_path: Path, run: Any
-) -> None:
+def test_a_rehearsal_starts_again_on_request_and_replaces_no_session(tmp_path: Path, run: Any) -> None:
     study, there = str(written(tmp_path)), tmp_path / "all"
     rehearse = ("run", study, "P01", "--rehearse", "--study", str(there), "--json")
     first, again = (json.loads(run("session", *rehearse, *more)[1]) for more in ((), ("--again",)))
@@ -111,9 +107,7 @@ def test_a_damaged_last_line_is_reported_and_set_aside(study: Path, run: Any, tm
     assert resumed.content["damaged"][0]["file"] == "session.log.damaged-1"
 
 
-def test_a_session_with_a_person_needs_a_terminal(
-    study: Path, run: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_persons_session_needs_a_terminal(study: Path, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     busy = "--lossy-anyway"  # the timing of this machine does not matter here
     monkeypatch.setattr(pace, "SECONDS", 0.1)
     with patient_host():

@@ -245,7 +245,7 @@ ROWS = (
         "device firmware simulated protocol our_protocol dictionary_hash position_rate_default "
         "position_rate_maximum current_quantum_a law settings source facts checks compatible", "compatible",
         (("mine.toml", 2, "mine.toml"),)),
-    Row("firmware flash", "tests/system/test_cli_firmware.py::test_an_image_is_flashed_to_the_drive_of_a_pico",
+    Row("firmware flash", "tests/system/test_cli_firmware.py::test_an_image_is_flashed_to_a_pico",
         "", "", (("none.uf2 --drive .", 2, "none.uf2"),)),
     Row("firmware selftest", "sim://koul-rigid --rig koul-rigid --rate 2000 --seconds 0.1",
         "url device firmware simulated checks passed", "ok ticks: 2000.00 Hz",

@@ -86,9 +86,7 @@ BROKEN_HARDWARE = {
 
 @DEVICES_AND_LOOPS
 @pytest.mark.parametrize("amplifier", first_by_default(["voltage", "current"]))
-def test_the_current_of_a_sound_motor_follows(
-    amplifier: str, device_class: Any, loop: str, tmp_path: Path
-) -> None:
+def test_the_current_of_a_motor_follows(amplifier: str, device_class: Any, loop: str, tmp_path: Path) -> None:
     _, recording, error = run_trial(tmp_path, device_class, loop, **{"rig.amplifier.drive": amplifier})
     assert error is None
     flags = recording.rows["flags"]

@@ -184,9 +184,7 @@ def test_a_command_beyond_its_lifetime_drives_nothing_and_the_effort_ramps_to_ze
 
 
 @pytest.mark.parametrize("make", [SimulatedDevice, FirmwareDevice])
-def test_a_buffer_that_fills_slowly_drives_no_longer_than_a_lifetime(
-    make: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_buffer_that_fills_slowly_drives_no_longer_than_a_lifetime(make: Any, tmp_path: Path) -> None:
     run = ran(tmp_path, ramp(LONGEST), make)
     run.assert_link_delayed()
     late = 2 * (LIFETIME + 1)  # frames, until one is late by more than a lifetime
@@ -197,9 +195,7 @@ def test_a_buffer_that_fills_slowly_drives_no_longer_than_a_lifetime(
 
 
 @pytest.mark.parametrize("delay", [LIFETIME + 1, LONGEST])
-def test_a_link_that_is_late_from_the_first_command_on_never_moves_the_motor(
-    delay: int, tmp_path: Path
-) -> None:
+def test_a_link_late_from_the_first_command_on_never_moves_the_motor(delay: int, tmp_path: Path) -> None:
     run = ran(tmp_path, steady(delay), first=0)
     assert not any(state.current_commanded for _, state in run.states)
     run.assert_link_delayed()

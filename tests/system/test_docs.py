@@ -226,7 +226,7 @@ def one_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return sources
 
 
-def test_a_site_is_built(one_page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_site_is_built(one_page: Path, tmp_path: Path, capsys: Any) -> None:
     out = tmp_path / "out"
     assert rig.cli.run(["serve", "docs", "--no-open", "--strict", "-o", str(out)]) == 0
     assert "One page" in (out / "html" / "index.html").read_text()
@@ -241,9 +241,7 @@ def test_a_warning_is_an_error_where_that_is_asked_for(one_page: Path, tmp_path:
         site.build_site(tmp_path / "out", strict=True)
 
 
-def test_a_missing_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setattr(site, "find_spec", lambda name: None if name == "furo" else name)
     with pytest.raises(ConfigError, match="furo"):
         site.build_site(tmp_path)

@@ -28,11 +28,9 @@ def run(place: Path, *command: str | Path) -> str:
     return done.stdout
 
 
-@pytest.mark.exhaustive("tests/system/test_readme.py::test_the_example_with_a_new_law_runs")
+@pytest.mark.exhaustive("tests/system/test_readme.py::test_the_example_of_a_new_law_runs")
 @pytest.mark.parametrize("name", [name for name in PROGRAMS if name != PARALLEL])
-def test_a_program_runs(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_program_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """Run the program and its commands in this process, which has loaded the libraries and the kernels."""
     run_process = subprocess.run
 
@@ -49,7 +47,7 @@ def test_a_program_runs(
     assert capsys.readouterr().out
 
 
-@pytest.mark.exhaustive("tests/system/test_readme.py::test_the_example_with_a_new_law_runs")
+@pytest.mark.exhaustive("tests/system/test_readme.py::test_the_example_of_a_new_law_runs")
 def test_a_program_with_workers_runs(tmp_path: Path) -> None:
     assert run(tmp_path, sys.executable, EXAMPLES / PARALLEL)
 

@@ -334,9 +334,7 @@ CASES: dict[str, tuple[Callable[[Any], None], tuple[Fault, ...]]] = {
 
 @each_far_end
 @pytest.mark.parametrize("name", first_by_default(CASES, 2))
-def test_a_fault_in_the_wall_is_reported_with_cause_and_remedy(
-    name: str, far_end: str, tmp_path: Path
-) -> None:
+def test_a_fault_in_the_wall_is_reported_with_its_remedy(name: str, far_end: str, tmp_path: Path) -> None:
     act, faults = CASES[name]
     bench = Bench(at(act), LONG, far_end)
     trial = bench.run(tmp_path).check(DeviceFaultError)
@@ -357,18 +355,14 @@ def test_a_fault_in_the_wall_is_reported_with_cause_and_remedy(
 
 @each_far_end
 @pytest.mark.parametrize("effort", [5.0, -1.0], ids=["a blow", "a pull"])
-def test_a_handle_that_is_driven_beyond_its_limits_ends_the_run(
-    effort: float, far_end: str, tmp_path: Path
-) -> None:
+def test_a_handle_driven_beyond_its_limits_ends_the_run(effort: float, far_end: str, tmp_path: Path) -> None:
     """The law's guard or the device's monitor ends the run, whichever acts first."""
     bench = Bench(at(push(effort)), LONG, far_end, **{"rig.limits.position_minimum": -0.02})
     bench.run(tmp_path).check(GuardError, DeviceFaultError)
 
 
 @pytest.mark.parametrize("far_end", list(FAR_ENDS)[:2])
-def test_a_brown_out_in_mid_run_is_a_lost_link_and_then_a_reset_with_its_name(
-    far_end: str, tmp_path: Path
-) -> None:
+def test_a_brown_out_in_mid_run_is_a_lost_link_and_then_a_named_reset(far_end: str, tmp_path: Path) -> None:
     bench = Bench(at(FirmwareDevice.brown_out), LONG, far_end)
     trial = bench.run(tmp_path).check(LinkLostError, DeviceFaultError, StoppedError)
     assert trial.rows["phase"][-1] == Phase.TRIAL

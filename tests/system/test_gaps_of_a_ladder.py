@@ -33,7 +33,7 @@ def highest(hits: Any) -> int:
 
 
 @pytest.mark.parametrize("case", first_by_default(CASES, 2), ids=lambda case: case.text)
-def test_losses_within_the_limits_leave_the_limit_of_a_ladder_and_those_beyond_are_invalid(
+def test_losses_within_the_limits_leave_the_limit_of_a_ladder_and_others_are_invalid(
     case: Case,
 ) -> None:
     rig, center = SeriesRig(case, 0.3, 1), middle(case)

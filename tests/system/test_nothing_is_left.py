@@ -196,9 +196,7 @@ def test_nothing_is_left_in_real_time(exit_kind: Any, warm: Any, far_end: Any, t
 
 # A silence takes 5 s, so the default tier has only the other fault.
 @pytest.mark.parametrize("kind", first_by_default([FaultKind.UNPLUG, FaultKind.SILENCE]))
-def test_nothing_is_left_of_a_lost_link_in_real_time(
-    kind: Any, warm: Any, far_end: Any, tmp_path: Path
-) -> None:
+def test_nothing_is_left_of_a_lost_real_time_link(kind: Any, warm: Any, far_end: Any, tmp_path: Path) -> None:
     fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=0)
     device_end = far_end(Script(after=20, frames=(fault,)))
     with patient_host(), nothing_left(), open_device(device_end.url) as device:
@@ -216,7 +214,7 @@ QUICK = "hit --no-plot --duration 0.2 --set verdict.tail_s=0.1 --set trial.relea
 
 @pytest.mark.quiet
 def test_nothing_is_left_of_a_command_and_the_process_that_was_its_device(
-    warm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    warm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
     resource_tracker.ensure_running()  # what multiprocessing starts once, stays

@@ -23,9 +23,7 @@ def names_of(guide: str, number: int, directory: Path, monkeypatch: pytest.Monke
     return names
 
 
-def test_the_example_with_a_new_law_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_of_a_new_law_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setattr(style, "DPI", 20)
     names = names_of(README.parent.name, 0, tmp_path, monkeypatch)
     output = capsys.readouterr().out.split()
@@ -36,7 +34,7 @@ def test_the_example_with_a_new_law_runs(
     assert not names["again"].exact, "fdm is another estimator"
 
 
-@pytest.mark.exhaustive("::test_the_example_with_a_new_law_runs")
+@pytest.mark.exhaustive("::test_the_example_of_a_new_law_runs")
 def test_the_estimators_of_the_guide_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = names_of("estimators", 0, tmp_path, monkeypatch)
     slope = 1e-3 / 300 * np.cos(np.arange(2000) / 300) * 20_000

@@ -5,10 +5,10 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from rig.cli import run as rig
 from rig.config.presets import load as preset
 from rig.extras.study import AnalysisOptions, analyse
 from rig.extras.study.report import render
@@ -60,7 +60,7 @@ def test_recordings_of_a_session_are_hashed_and_have_blind_names(calm: tuple[Pat
 
 
 @pytest.mark.exhaustive("::test_the_analysis_finds_the_threshold_of_the_simulated_person")
-def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that_show_the_effect(
+def test_a_newcomers_session_takes_ten_minutes_and_its_intervals_show_the_effect(
     tmp_path: Path,
 ) -> None:
     """Uses the unchanged template and the program's own verdict: dual-rate is above the uniform slow rate."""
@@ -123,24 +123,20 @@ TRIALS = 3
 @pytest.mark.exhaustive("tests/rig/session/test_session_check.py::test_every_template_passes_on_its_preset")
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", first_by_default(sorted(template_names(), reverse=True)))
-def test_a_template_is_rehearsed_and_reported(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, out = tmp_path / "study.toml", tmp_path / "out"
-    assert rig(["session", "new", str(path), "--template", name]) == 0
-    assert rig(["session", "check", str(path)]) == 0
-    planned = capsys.readouterr().out
-    for condition in load_protocol(path).condition:
+def test_a_template_is_rehearsed_and_reported(name: str, tmp_path: Path, run: Any) -> None:
+    path, study = tmp_path / "study.toml", tmp_path / "study"
+    assert run("session", "new", path, "--template", name)[0] == 0
+    code, planned, err = run("session", "check", path)
+    assert code == 0, err
+    conditions = load_protocol(path).condition
+    for condition in conditions:
         assert f"{condition.name}: fit {condition.fit}" in planned or not condition.fit
     text = path.read_text().replace("[stop]\n", f"[stop]\ntrials = {TRIALS}\n")
     path.write_text(re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text))
-    study = str(tmp_path / "study")
-    assert rig(["session", "run", str(path), "P01", "--rehearse", "--study", study, "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert (result["ended"], result["counted"]) == (f"{TRIALS} trials", TRIALS)
-    assert result["invalid"] == 0
-    assert rig(["session", "analyse", study, "--output", str(out)]) == 0
-    report = (out / "report.html").read_text()
-    for condition in load_protocol(path).condition:
-        assert condition.name in report
-        assert condition.fit in report
+    code, out, err = run("session", "run", path, "P01", "--rehearse", "--study", study, "--json")
+    assert code == 0, err
+    result = json.loads(out)
+    assert (result["ended"], result["counted"], result["invalid"]) == (f"{TRIALS} trials", TRIALS, 0)
+    assert run("session", "analyse", study, "--output", tmp_path / "out")[0] == 0
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert all(condition.name in report and condition.fit in report for condition in conditions)

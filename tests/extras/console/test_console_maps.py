@@ -82,9 +82,7 @@ async def test_a_page_receives_the_plan_then_every_cell_by_criterion(root: Path)
             assert cell[2:] == [passes[row[f"passes_{name}_true"]] for name in facts["criteria"]]
 
 
-def test_new_lines_of_a_journal_are_sent_once_and_its_writer_makes_it_running(
-    root: Path, tmp_path: Path
-) -> None:
+def test_lines_of_a_journal_are_sent_once_and_its_writer_makes_it_running(root: Path, tmp_path: Path) -> None:
     there, growing = root / "maps" / NAME, tmp_path / "growing"
     growing.mkdir()
     (growing / maps.PLAN).write_bytes((there / maps.PLAN).read_bytes())

@@ -71,9 +71,7 @@ def listed(output: Path, **options: Any) -> Any:
     return asked(output, "recordings", **options)
 
 
-def test_the_list_says_verdict_and_settings_and_whether_there_is_a_picture(
-    output: Path, recorded: Path
-) -> None:
+def test_the_list_shows_verdict_settings_and_whether_there_is_a_picture(output: Path, recorded: Path) -> None:
     (one,) = listed(output)["recordings"]
     whole = open_recording(recorded)
     wall, rates = whole.experiment["wall"], whole.experiment["controller"]
@@ -187,9 +185,7 @@ def test_a_replay_lies_over_the_same_times_and_says_how_far_it_is_apart(output: 
         ("export?form=exe", "'exe' is not an export format"),
     ],
 )
-def test_a_wrong_request_for_a_recording_is_refused_with_a_remedy(
-    output: Path, what: str, reason: str
-) -> None:
+def test_a_wrong_request_is_refused_with_a_remedy(output: Path, what: str, reason: str) -> None:
     with pytest.raises((ConfigError, RecordingError), match=reason) as refused:
         fetch(output, f"/recordings/one.parquet/{what}")
     assert refused.value.remedy
@@ -208,9 +204,7 @@ def test_an_export_is_that_of_the_command(output: Path, tmp_path: Path, form: st
         assert sidecar.body == (tmp_path / "exported.csv.json").read_bytes()
 
 
-def test_a_picture_is_given_or_drawn_where_it_is_asked_for(
-    output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_is_given_or_drawn_on_request(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(style, "DPI", 10)
     # The layout engine would draw everything once more.
     monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)

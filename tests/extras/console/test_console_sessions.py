@@ -100,9 +100,7 @@ def test_a_page_that_comes_back_sees_the_question(page: AtPage, asker: ThreadPoo
     assert reply.result(PATIENCE_S).value == "stable"
 
 
-def test_a_desk_that_cannot_look_ends_its_session_and_says_so(
-    page: AtPage, asker: ThreadPoolExecutor
-) -> None:
+def test_a_desk_that_cannot_look_reports_it_and_ends(page: AtPage, asker: ThreadPoolExecutor) -> None:
     reply = asked(page, asker, READY)
     assert page.service._seat is not None
     page.service._seat.look = lambda _: {}["a defect"]  # type: ignore[method-assign]
@@ -127,9 +125,7 @@ def test_one_page_operates_and_any_may_stop(page: AtPage, asker: ThreadPoolExecu
         watch(0, 3)
 
 
-def test_a_participant_answers_verdicts_and_items_and_nothing_else(
-    page: AtPage, asker: ThreadPoolExecutor
-) -> None:
+def test_a_participant_answers_verdicts_and_items_alone(page: AtPage, asker: ThreadPoolExecutor) -> None:
     def answers(key: str = "", line: str = "") -> None:
         what = {"key": key} if key else {"text": line}
         do = "session_key" if key else "session_line"

@@ -143,9 +143,7 @@ NONSENSE: tuple[Any, ...] = (
 )
 
 
-async def test_a_loop_that_says_nonsense_of_itself_ends_no_console(
-    tmp_path: Path, searched: Searched
-) -> None:
+async def test_a_loop_that_reports_nonsense_ends_no_console(tmp_path: Path, searched: Searched) -> None:
     async with served(tmp_path) as console, console.page() as page:
         for experiment in NONSENSE:
             with HandTurnedLoop(64, shared=True, info={"experiment": experiment}).ring as ring:
@@ -349,9 +347,7 @@ async def left(reader: asyncio.StreamReader) -> None:
         await reader.read()
 
 
-async def test_of_too_many_hold_sockets_the_silent_one_goes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_of_too_many_holds_the_silent_one_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.extras.console.server.MOST_HOLDS", 2)
 
     async with (
@@ -438,9 +434,7 @@ async def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:
         assert (await two.ask("operate", take=True))["result"] == {"operates": True}
 
 
-async def test_a_real_rig_is_armed_from_no_page_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_real_rig_is_armed_by_no_page_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Errands, "run", Here.run)
     async with served(tmp_path) as console, console.page() as page:
         refused = await page.ask("run", job="hit", url="serial:///dev/ttyACM0")
@@ -448,9 +442,7 @@ async def test_a_real_rig_is_armed_from_no_page_alone(
         assert "rig console" in refused["error"]["remedy"]
 
 
-async def test_a_defect_costs_an_answer_and_no_socket(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_defect_costs_a_reply_and_no_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def broken(*_: object, **content: object) -> None:
         raise KeyError("a defect")
 
@@ -478,9 +470,7 @@ async def test_a_page_that_reads_nothing_delays_no_other(tmp_path: Path) -> None
         stalled.transport.abort()  # it would not hear that its closing is agreed to
 
 
-async def test_a_page_that_reads_nothing_takes_no_more_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_page_that_reads_nothing_has_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clients: list[Client] = []
     monkeypatch.setattr(Live, "greet", lambda _, client: clients.append(client))
 

@@ -82,9 +82,7 @@ async def test_a_word_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch)
         assert not await answer
 
 
-async def test_a_terminal_obeys_no_page(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_a_terminal_obeys_no_page(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     async with at_terminal(monkeypatch) as (terminal, _):
         answer = await asks(terminal, "serial:///é\x1b[2J\r\nrig: all is well\x9b\u202e", "and more\n")
         terminal.withdraw()
@@ -127,7 +125,7 @@ async def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
 
 
 async def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     """Both show the rig, its changes, the duration, if it continues without a page, and the same digest."""
 
@@ -163,9 +161,7 @@ async def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_arme
             hits.hit({**content, "changes": {"wall.stiffness": 56}}, Talk(is_detached=False))
 
 
-def test_a_resumed_session_has_the_digest_that_it_began_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_resumed_session_has_its_first_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_template("first-steps", tmp_path / "mine.toml")
     monkeypatch.setattr(session_desk, "DeviceRunner", lambda **_: FakeRunner())
@@ -194,9 +190,7 @@ def test_the_operator_agrees_to_each_exception_of_a_session() -> None:
     assert lines[1] == "consents to: another device than before"
 
 
-async def test_a_console_ends_though_it_waits_for_a_word(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_console_that_waits_for_a_word_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Errands, "run", Here.run)
     monkeypatch.setattr("rig.extras.console.lease.LOST_S", 1e9)  # this page sends no beats
 

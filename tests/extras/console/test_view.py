@@ -43,9 +43,7 @@ class Ramp:
     window_s=st.sampled_from([0.01, 0.5, 2.0, 5.0, 10.0]),
     slow=st.integers(1, 4),
 )
-def test_each_point_is_sent_once_however_seldom_a_page_reads(
-    pieces: list[int], window_s: float, slow: int
-) -> None:
+def test_each_point_is_sent_once_to_a_slow_page(pieces: list[int], window_s: float, slow: int) -> None:
     ramp = Ramp()
     view = View(ramp.history, RATE, ViewRequest(columns=("tick",), window_s=window_s))
     seen: list[float] = []

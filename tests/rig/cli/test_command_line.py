@@ -51,7 +51,7 @@ def test_a_stop_names_its_signal_and_a_broken_pipe_is_an_internal_error(
     assert words in capsys.readouterr().err
 
 
-def test_an_empty_value_of_any_option_is_an_error_that_names_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_value_of_any_option_is_an_error_that_names_it(capsys: Any) -> None:
     tried: set[str] = set()
     for path, command in commands():
         for parameter in command.params:
@@ -89,9 +89,7 @@ MISSING = {
 
 
 @pytest.mark.parametrize("extra", MISSING)
-def test_a_missing_library_is_named_with_the_extra_that_installs_it(
-    extra: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_named_with_its_extra(extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "rig.extras.console.sockets", raising=False)
     loaded = [name for name in sys.modules if re.match(rf"(?:{OPTIONAL})\b", name)]
     for name in [*OPTIONAL.split("|"), *loaded]:
@@ -126,7 +124,7 @@ def test_every_exit_code_is_in_the_readme_and_of_one_kind_of_error() -> None:
 
 
 def test_a_change_for_a_run_that_ends_before_it_is_active_has_its_own_exit_code(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     done = live.LiveChange(7, 3, {"wall.stiffness": 1.0}, {}, active=False, ended=True)
     monkeypatch.setattr(live, "change_wall", lambda *_, **__: done)
@@ -143,7 +141,7 @@ def test_invisible_characters_of_a_message_are_escaped_in_a_terminal() -> None:
     assert output.for_terminal("a\u00a0b\u200b\0\x1b[2J\n\t−µ°") == "a\\xa0b\\u200b\\x00\\x1b[2J\n\t−µ°"
 
 
-def test_a_command_shows_an_argument_as_its_option(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_shows_an_argument_as_its_option(capsys: Any) -> None:
     text = "this wall must not be armed; or accept the risk: `arm_anyway`; see `rig doctor`"
     assert output.for_terminal(text).endswith("the risk: --arm-anyway; see `rig doctor`")
     assert rig.cli.run(["session", "check", "/nowhere.toml", "--threshold", "x=1"]) == 2
@@ -206,7 +204,7 @@ def test_an_option_has_one_short_form_one_kind_of_value_and_one_group_everywhere
     assert different == {}
 
 
-def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_prints_nothing_but_json_and_keeps_the_exit_code(capsys: Any) -> None:
     assert rig.cli.run(["experiment", "preset", "-q"]) == 0
     assert capsys.readouterr() == ("", "")
     assert rig.cli.run(["experiment", "preset", "nothing", "--quiet"]) == 2

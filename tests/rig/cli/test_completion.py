@@ -83,7 +83,7 @@ def test_values_are_completed_by_what_they_are(tmp_path: Path, monkeypatch: pyte
     ),
 )
 def test_bash_receives_the_part_of_a_word_that_it_adds(
-    line: str, expected: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    line: str, expected: list[str], tmp_path: Path, capsys: Any
 ) -> None:
     """bash ends a word at : or =, so only the part after the last one is sent."""
     if shutil.which("bash") is None:
@@ -118,9 +118,7 @@ def test_verdicts_and_grips_are_those_of_the_rig() -> None:
 
 
 @pytest.mark.parametrize("shell", complete.SHELLS)
-def test_the_script_of_a_shell_requests_our_completions(
-    shell: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_script_of_a_shell_requests_our_completions(shell: str, capsys: Any) -> None:
     assert complete.answer(f"{shell}_source") == 0
     text = capsys.readouterr().out
     assert f"{complete.ASKED}={shell}_complete" in text

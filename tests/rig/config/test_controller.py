@@ -177,9 +177,7 @@ def test_the_edges_of_both_windows_are_the_same_place(sign: int) -> None:
         (1_000, 0.012, 0.012),
     ],
 )
-def test_a_command_lives_for_five_ticks_and_3_ms_at_least(
-    rate: int, configured: float | None, expected: float
-) -> None:
+def test_a_command_lives_five_ticks_and_3_ms(rate: int, configured: float | None, expected: float) -> None:
     changes = {
         "controller.position_rate": rate,
         "controller.velocity_rate": rate,
@@ -212,9 +210,7 @@ SLOW = {
         ({"rig.limits.thermal_time_constant_s": 0.1}, "thermal_time_constant", "0.125 to 8192"),
     ],
 )
-def test_a_value_out_of_range_of_the_wire_is_refused_with_name_and_range(
-    changes: Any, name: str, words: str
-) -> None:
+def test_a_value_out_of_range_of_the_wire_is_refused_by_name(changes: Any, name: str, words: str) -> None:
     experiment = config.override(COMPLIANT, changes)
     with pytest.raises(PlanError) as caught:
         device_parameters(experiment)

@@ -92,9 +92,7 @@ def test_the_same_cutoff_is_kept_where_only_rates_are_compared() -> None:
         (("dual:20k/2k", "uniform:20k,estimator=kalman"), "as-in-the-paper", None),
     ],
 )
-def test_cutoffs_that_differ_with_the_rates_are_named(
-    texts: tuple[str, ...], rule: str, found: tuple[str, ...] | None
-) -> None:
+def test_cutoffs_that_differ_with_the_rates_are_named(texts: tuple[str, ...], rule: str, found: Any) -> None:
     experiment = override(KOUL, {"controller.scheme_cutoff": rule}, "the test")
     note = describe_cutoffs(map(Scheme.parse, texts), experiment)
     if found is None:
