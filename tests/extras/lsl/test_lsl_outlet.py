@@ -14,7 +14,7 @@ from rig.core.sample import Phase
 from rig.extras.lsl import follow, library
 from rig.extras.lsl.follow import SECRETS, Chunk, Follower, decimation, without_secrets
 from rig.extras.lsl.serve import Markers, serve
-from rig.extras.lsl.session import CUT, LINE_BYTES, LslMarks, marker_line
+from rig.extras.lsl.session import CUT, LINE_BYTES, marker_line
 from tests.conformance.lsl_loop import OFFSET_NS, HandTurnedLoop
 
 T = int(Phase.TRIAL)
@@ -294,21 +294,3 @@ def test_a_long_text_is_cut_and_not_lost(character: str, length: int) -> None:
         assert found["text"] == whole  # as long as a note at the console may be
     elif found["text"] != whole:
         assert len(line) > LINE_BYTES - 16  # no more is cut than must be
-
-
-def test_lost_markers_are_reported_once_for_each_reason(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    reader, writer = os.pipe()
-    marks = object.__new__(LslMarks)
-    marks._descriptor, marks._closed, marks.lost, marks._warned = writer, False, 0, set()
-    for _ in range(2):
-        marks.push("odd", items=["x" * 5000])
-    marks.push("note", text="x" * 5000)
-    assert json.loads(os.read(reader, 8192))["marker"]["mark"] == "note"
-    os.close(reader)
-    for _ in range(2):
-        marks.push("note", text="gone")
-    os.close(writer)
-    assert marks.lost == 4
-    assert [record.message.split(" ")[0:2] for record in caplog.records] == [["a", "marker"], ["the", "LSL"]]

@@ -218,3 +218,4 @@ def test_the_log_says_what_is_armed_all_the_same(tmp_path: Path) -> None:
     opened = next(event for event in read(tmp_path / "P01" / LOG) if event.kind == "opened")
     assert opened.content["armed_anyway"] == armed
     assert "2 walls that the arming gate refuses" in line_of_event(opened)
+    assert "60" not in line_of_event(opened)

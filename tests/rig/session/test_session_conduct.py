@@ -419,37 +419,31 @@ def test_a_trial_that_was_left_out_comes_again_when_the_session_is_resumed(tmp_p
     assert state.ended == "complete"
 
 
-def test_a_trial_is_amended_by_its_number(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeRunner({2: (INVALID, None)}), ScriptedDesk())
-    directory = tmp_path / "P01"
-    events = read(directory / LOG)
-    written = amend(directory, event_of_trial(directory, 1, "buzz"), "buzz", "wrong key")
-    assert read(directory / LOG) == [*events, written]
-    assert SessionState.of(read(directory / LOG)).trials[0].verdict == "buzz"
+def test_a_trial_is_amended_by_its_number_and_impossible_corrections_are_refused(tmp_path: Path) -> None:
+    run_with(started(tmp_path), FakeRunner({2: (INVALID, None)}), ScriptedDesk())
+    events = read(tmp_path / LOG)
+    written = amend(tmp_path, event_of_trial(tmp_path, 1, "buzz"), "buzz", "wrong key")
+    assert read(tmp_path / LOG) == [*events, written]
+    assert SessionState.of(read(tmp_path / LOG)).trials[0].verdict == "buzz"
     assert line_of_event(written) == "trial 1 corrected: buzz (wrong key)"
     for trial, value, reason in ((999, "void", "no trial 999"), (2, "buzz", "trial 2 has no verdict")):
         with pytest.raises(ConfigError, match=reason):
-            event_of_trial(directory, trial, value)
-    with pytest.raises(ConfigError, match="cannot be corrected to"):
-        amend(directory, event_of_trial(directory, 1, "void"), "buzz", "wrong key")
-
-
-def test_impossible_corrections_are_refused(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
-    assert read(tmp_path / "P01" / LOG)[4].kind == "judged"
-    before = (tmp_path / "P01" / LOG).read_bytes()
+            event_of_trial(tmp_path, trial, value)
+    assert events[4].kind == "judged"
+    before = (tmp_path / LOG).read_bytes()
     for number, value, why, reason in (
+        (event_of_trial(tmp_path, 1, "void"), "buzz", "x", "cannot be corrected to"),
         (10_000, "buzz", "x", "no event 10000"),
         (0, "buzz", "x", "cannot be corrected"),
         (4, "fine", "x", "is not a verdict"),
         (4, "buzz", " ", "needs a reason"),
     ):
         with pytest.raises(ConfigError, match=reason):
-            amend(tmp_path / "P01", number, value, why)
-        assert (tmp_path / "P01" / LOG).read_bytes() == before
+            amend(tmp_path, number, value, why)
+        assert (tmp_path / LOG).read_bytes() == before
 
 
-def test_a_participant_has_one_session(tmp_path: Path) -> None:
+def test_a_participant_has_one_session_and_another_directory_none(tmp_path: Path) -> None:
     run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
     before = (tmp_path / "P01" / LOG).read_bytes()
     with pytest.raises(ConfigError, match="already contains a session"):
@@ -457,6 +451,10 @@ def test_a_participant_has_one_session(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="has ended"):
         resume(tmp_path / "P01")
     assert (tmp_path / "P01" / LOG).read_bytes() == before
+    for use in (resume, lambda place: amend(place, 3, "buzz", "x")):
+        with pytest.raises(ConfigError, match=r"contains no file session\.log"):
+            use(tmp_path)
+    assert list(tmp_path.iterdir()) == [tmp_path / "P01"]
 
 
 @pytest.mark.parametrize(("code", "row"), [("P01", 0), ("P12", 11), ("a7b03", 2)])
@@ -464,14 +462,6 @@ def test_the_number_in_a_code_is_the_row(code: str, row: int) -> None:
     assert row_of(code) == row
     with pytest.raises(ConfigError, match="`row`"):
         row_of("PX")
-
-
-def test_a_directory_without_a_session_is_neither_resumed_nor_corrected(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"contains no file session\.log"):
-        resume(tmp_path)
-    with pytest.raises(ConfigError, match="contains no file session"):
-        amend(tmp_path, 3, "buzz", "x")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_stop_is_a_question_to_a_person_and_ends_a_rehearsal(tmp_path: Path) -> None:
