@@ -146,7 +146,7 @@ def judged(*counts: Any, people: int = 1) -> Any:
         (
             (8, 2, 0, 0),
             0.0,
-            "the person's verdict was always “stable”, so agreement by chance is complete: κ is 0 in any case",
+            "the person's verdict was always “stable”, so agreement by chance is complete",
         ),
         ((8, 0, 2, 0), 0.0, "the automatic verdict was always “stable”"),
         ((8, 0, 0, 2), 1.0, "all verdicts agree, so the uncertainty of κ = 1"),

@@ -62,11 +62,8 @@ def test_a_name_that_is_not_public_is_no_attribute() -> None:
 @pytest.mark.parametrize(
     ("option", "modules", "heavy"),
     [
-        (
-            "-S",
-            "rig, rig.testing",
-            "numpy numba typing re dataclasses",
-        ),  # pytest's plug-in imports it everywhere
+        # pytest's plug-in imports it everywhere
+        ("-S", "rig, rig.testing", "numpy numba typing re dataclasses"),
         ("-P", "firmware_protocol, rig.cli", "numpy numba scipy matplotlib pyarrow pydantic serial rich"),
     ],
 )

@@ -110,8 +110,7 @@ def test_a_grip_brings_its_numbers_and_single_ones_may_be_set() -> None:
         ({"operator.presss": 1.0}, "did you mean press?"),
         (
             {"trial.duration_s": 0.8},
-            "operator.reach_s = 0.3 s: must end before the judged tail: the reach begins 0.15 s into the trial "
-            "(operator.begin_s) and ends at 0.45 s, the tail begins at 0.4 s",
+            "operator.reach_s = 0.3 s: must end before the judged tail",
         ),
         ({"operator.press": 16.0}, "operator.press = 16.0 N: must leave the push, 1."),
         ({"operator.press": 0.5}, "operator.press = 0.5 N: must be at least "),

@@ -316,7 +316,7 @@ def test_heat_of_a_constant_load_is_the_closed_form() -> None:
         ({"invalid": 2}, {2: (INVALID, None), 3: (INVALID, None)}, "2 invalid trials in a row"),
         (
             {"aborts": 2},
-            {2: ({"aborted": "energy"}, None), 3: ({"aborted": "violent"}, None)},
+            dict.fromkeys((2, 3), ({"aborted": "energy"}, None)),
             "2 hits in a row cut off",
         ),
         ({"minutes": 0.1}, {}, "0.1 minutes"),
