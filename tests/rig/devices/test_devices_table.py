@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -28,21 +28,17 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.rigs import rotary_rig
 
 
-class Point:
-    def __init__(self, name: Any, value: Any, distribution: str = "third-party") -> None:
-        self.name, self.value = name, value
-        self.dist = type("Distribution", (), {"name": distribution}) if distribution else None
-
-    def load(self) -> Any:
-        return EntryPoint(self.name, self.value, "rig.devices").load()
+def point(name: str, value: str, distribution: str = "third-party") -> Any:
+    """Return an entry point of a distribution; of none, as in a frozen program, without a name."""
+    dist = SimpleNamespace(name=distribution) if distribution else None
+    return EntryPoint(name, value, "rig.devices")._for(dist)  # type: ignore[attr-defined]
 
 
 @pytest.fixture
 def plugins(monkeypatch: pytest.MonkeyPatch) -> Any:
     def install(*points: Any) -> None:
-        monkeypatch.setattr(
-            core_plugins, "entry_points", lambda group: points if group == "rig.devices" else ()
-        )
+        of_group = {"rig.devices": points}
+        monkeypatch.setattr(core_plugins, "entry_points", lambda group: of_group.get(group, ()))
 
     return install
 
@@ -103,7 +99,7 @@ def test_an_invalid_url_is_refused_with_a_remedy(text: str) -> None:
 
 
 def test_a_third_party_adds_a_scheme(plugins: Any, third_party: Any) -> None:
-    plugins(Point("zusb", "third_party_rig:open_link"), Point("can", "third_party_rig:open_link", None))
+    plugins(point("zusb", "third_party_rig:open_link"), point("can", "third_party_rig:open_link", ""))
     built_in = [backend.scheme for backend in devices.backends() if backend.distribution == "haptic-rig"]
     assert [backend.scheme for backend in devices.backends()] == [*built_in, "can", "zusb"]
     assert [backend.distribution for backend in devices.backends()][len(built_in) :] == ["?", "third-party"]
@@ -113,7 +109,7 @@ def test_a_third_party_adds_a_scheme(plugins: Any, third_party: Any) -> None:
 
 
 def test_a_third_party_cannot_shadow_a_built_in_scheme(plugins: Any, third_party: Any) -> None:
-    plugins(Point("sim", "third_party_rig:open_link"))
+    plugins(point("sim", "third_party_rig:open_link"))
     assert isinstance(devices.open_link("sim://", rotary_rig()), MemoryLink)
 
 
@@ -125,7 +121,7 @@ def test_a_backend_that_does_not_load_is_named_with_its_distribution(
 ) -> None:
     (tmp_path / "broken_rig.py").write_text("raise RuntimeError('built for another version')")
     monkeypatch.syspath_prepend(str(tmp_path))
-    plugins(Point("can", target))
+    plugins(point("can", target))
     with pytest.raises(ConfigError, match="cannot import") as caught:
         devices.open_link("can://0")
     assert target in str(caught.value)
@@ -184,7 +180,7 @@ def test_a_device_is_built_before_its_scheduling(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(devices, "loaded", lambda name: server)
     local.serve(
-        rotary_rig(), announce=happened.append, scheduled=lambda granted: happened.append("scheduled")
+        rotary_rig(), announce=happened.append, scheduled=lambda _granted: happened.append("scheduled")
     )
     assert happened == ["made", "scheduled", "port", "served"]
 

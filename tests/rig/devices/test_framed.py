@@ -72,6 +72,24 @@ def make(*, faults: Any = None, **options: Any) -> Any:
     return simulated, wire, FramedDevice(wire)
 
 
+def configured(**options: Any) -> Any:
+    """Return a device, its wire, and a host that has configured it."""
+    simulated, wire, device = make(**options)
+    device.configure(RUN_PARAMETERS)
+    return simulated, wire, device
+
+
+def armed(**options: Any) -> Any:
+    simulated, wire, device = configured(**options)
+    device.arm()
+    return simulated, wire, device
+
+
+def drive(wire: Any, device: Any) -> None:
+    wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
+    wire.link.elapse(0.005)
+
+
 class Answering:
     """A far end in virtual time that replies by one function of the request."""
 
@@ -229,8 +247,7 @@ def test_a_device_time_out_of_range_is_an_incompatible_device(stamps: Any) -> No
 
 
 def test_a_fault_log_or_a_parameter_block_that_makes_no_sense_is_an_incompatible_device() -> None:
-    _, wire, device = make()
-    device.configure(RUN_PARAMETERS)
+    _, wire, device = configured()
     wire.link = Answering(lambda request: frame_of(m.FaultLog(request.nonce, 1, 0, 0, 5, 0, b"123")))
     with pytest.raises(IncompatibleDeviceError, match="sends invalid data"):
         device.fault_report()
@@ -337,8 +354,7 @@ def test_a_stale_session_is_answered_with_another_number() -> None:
 def test_a_device_that_is_not_ready_is_asked_again_until_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Such a device may still compute its excitation; the timeout counts in the link's time."""
     monkeypatch.setattr(framed, "READY_S", 3.0)
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
+    simulated, wire, device = configured()
     answers = iter([Status.NOT_READY] * 3 + [None] * 9)
     true_arm, start_ns = device._arm, wire.clock.now_ns()
 
@@ -360,8 +376,7 @@ def test_a_device_that_is_not_ready_is_asked_again_until_it_is(monkeypatch: pyte
 
 
 def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever() -> None:
-    _, _, device = make()
-    device.configure(RUN_PARAMETERS)
+    _, _, device = configured()
     asked = []
 
     def arm(session: Any) -> None:
@@ -375,9 +390,7 @@ def test_a_device_that_calls_every_session_stale_is_not_asked_for_ever() -> None
 
 
 def test_parameters_that_a_loop_has_changed_are_ours() -> None:
-    _, wire, device = make()
-    device.configure(RUN_PARAMETERS)
-    device.arm()
+    _, wire, device = armed()
     streams = {"next_command": 0, "newest_state": 0, "state": int(State.RUNNING), "nonce": 9}
     device.take_back(**streams, parameters_crc=0x12345678)
     device.disarm()
@@ -388,8 +401,7 @@ def test_parameters_that_a_loop_has_changed_are_ours() -> None:
 
 
 def test_any_number_of_sessions_can_follow_each_other_on_one_device() -> None:
-    _, _, device = make()
-    device.configure(RUN_PARAMETERS)
+    _, _, device = configured()
     previous = 0
     for _ in range(260):
         device._nonce = (previous - 2) % 0x10000
@@ -402,8 +414,7 @@ def test_any_number_of_sessions_can_follow_each_other_on_one_device() -> None:
 
 def test_a_fault_in_the_middle_of_configuring_is_a_refusal() -> None:
     """The BEGIN is lost, and before its retry the device enters FAULT, in which it rejects BEGIN."""
-    _, wire, device = make(faults=Faults())
-    device.configure(RUN_PARAMETERS)
+    _, wire, device = configured(faults=Faults())
     begin = next(i for i, message in enumerate(wire.messages()) if isinstance(message, m.SetBegin))
     _, wire, device = make(
         faults=Faults(
@@ -419,34 +430,24 @@ def test_a_fault_in_the_middle_of_configuring_is_a_refusal() -> None:
 # ---------------------------------------------------------------------- taking over
 
 
-def armed(simulated: Any, *, running: Any) -> Any:
-    first = FramedDevice(MemoryLink(simulated))
-    first.configure(RUN_PARAMETERS)
-    session = first.arm()
-    if running:
-        first.link.write(first.connection.send(m.Command(0, 5_000, int(m.Mode.CURRENT), 0, 50)))
-    return first, session
-
-
 @pytest.mark.parametrize("left_in", [State.ARMED, State.RUNNING, State.FAULT])
 def test_a_device_of_a_dead_host_is_taken_over_by_configuring_it(left_in: Any) -> None:
-    simulated = SimulatedDevice(rotary_rig())
-    first, session = armed(simulated, running=left_in is not State.ARMED)
+    simulated, wire, first = armed()
+    if left_in is not State.ARMED:
+        drive(wire, first)
     if left_in is State.FAULT:
-        first.link.elapse(0.1)
+        wire.link.elapse(0.1)
     assert simulated.connection.state is left_in
     second = FramedDevice(MemoryLink(simulated))
     second._nonce = 20_000
     second.configure(RUN_PARAMETERS)
     assert simulated.connection.state is State.CONFIGURED
     assert simulated.current == 0
-    assert second.arm() != session
+    assert second.arm() != first.connection.session
 
 
 def test_a_fault_whose_cause_is_still_there_is_not_cleared() -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
-    device.arm()
+    simulated, wire, device = armed()
     simulated.press_emergency_stop()
     wire.link.elapse(0.01)
     with pytest.raises(DeviceRefusedError) as caught:
@@ -488,9 +489,7 @@ def reset_and_configured_by_another(simulated: Any, wire: Any) -> None:
 def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_with_the_old_zero(
     restart: Any, real: None
 ) -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
-    device.arm()
+    simulated, wire, device = armed()
     device.disarm()
     restart(simulated, wire)
     for _ in range(2):
@@ -503,8 +502,7 @@ def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_wi
 
 
 def test_counts_that_a_real_device_lost_in_the_middle_of_a_session_shift_its_zero_as_well(real: None) -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
+    simulated, wire, device = configured()
     simulated.inject_fault(Fault.ENCODER)
     wire.link.elapse(0.01)
     with pytest.raises(DeviceRefusedError, match="lost counts"):
@@ -542,8 +540,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real: None) -> 
 def test_a_lost_answer_to_the_parameters_is_no_restart(real: None) -> None:
     """The parameters may be active or not, so their values do not prove a restart."""
     other = {**RUN_PARAMETERS, "float_stiffness": 333.0}
-    _, wire, device = make(faults=Faults())
-    device.configure(RUN_PARAMETERS)
+    _, wire, device = configured(faults=Faults())
     first = wire.link.line.frames[Direction.TO_HOST]
     device.configure(other)
     for frame in range(first, wire.link.line.frames[Direction.TO_HOST]):
@@ -561,11 +558,8 @@ def test_a_lost_answer_to_the_parameters_is_no_restart(real: None) -> None:
 
 
 def test_stop_sends_zero_several_times_and_needs_no_answer() -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
-    device.arm()
-    wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
-    wire.link.elapse(0.005)
+    simulated, wire, device = armed()
+    drive(wire, device)
     assert simulated.current == 300
     before = len(wire.sent)
     device.stop()
@@ -577,9 +571,7 @@ def test_stop_sends_zero_several_times_and_needs_no_answer() -> None:
 
 @pytest.mark.parametrize("break_it", ["closed", "unplugged", "disarmed", "bug"])
 def test_stop_and_close_never_raise(break_it: str) -> None:
-    simulated, wire, device = make(faults=Faults())
-    device.configure(RUN_PARAMETERS)
-    device.arm()
+    simulated, wire, device = armed(faults=Faults())
     if break_it == "closed":
         wire.close()
     elif break_it == "unplugged":
@@ -594,10 +586,8 @@ def test_stop_and_close_never_raise(break_it: str) -> None:
 
 
 def test_closing_disarms_and_leaves_zero() -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
-    device.arm()
-    wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
+    simulated, wire, device = armed()
+    drive(wire, device)
     with device:
         pass
     assert (simulated.connection.state, simulated.current) == (State.CONFIGURED, 0)
@@ -611,11 +601,8 @@ def test_closing_without_replies_sends_each_frame_and_does_not_wait(
     ways: tuple[Direction, ...], back: bool
 ) -> None:
     """A transaction times out after more than the lifetime of a COMMAND, so the effort is zero by then."""
-    simulated, wire, device = make(faults=Faults())
-    device.configure(RUN_PARAMETERS)
-    device.arm()
-    wire.write(device.connection.send(m.Command(0, 20_000, int(m.Mode.CURRENT), 0, 300)))
-    wire.link.elapse(0.005)
+    simulated, wire, device = armed(faults=Faults())
+    drive(wire, device)
     line = wire.link.line
     line.add([FrameFault(kind=FaultKind.SILENCE, direction=d, frame=line.frames[d]) for d in ways])
     with pytest.raises(LinkLostError):
@@ -642,9 +629,7 @@ def test_a_transaction_is_given_up_after_more_than_a_command_lives() -> None:
 
 
 def test_the_host_can_stop_a_device_in_an_unknown_state() -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
-    device.arm()
+    simulated, wire, device = armed()
     device.take_back(next_command=3, newest_state=77, state=200, nonce=9)
     before = len(wire.sent)
     device.stop()
@@ -685,8 +670,7 @@ def test_a_request_that_had_to_be_repeated_took_from_its_first_frame_on() -> Non
 
 
 def test_the_fault_report_pages_through_the_whole_ring_of_ticks() -> None:
-    simulated, wire, device = make()
-    device.configure(RUN_PARAMETERS)
+    simulated, wire, device = configured()
     wire.link.elapse(0.5)
     simulated.inject_fault(Fault.ENCODER)
     report = device.fault_report()
@@ -703,8 +687,7 @@ def test_the_fault_report_pages_through_the_whole_ring_of_ticks() -> None:
 
 def test_reading_the_ticks_of_a_slow_device_is_bounded() -> None:
     """The report contains the pages that arrived in time, the oldest ticks first."""
-    simulated, wire, device = make(faults=Faults())
-    device.configure(RUN_PARAMETERS)
+    simulated, wire, device = configured(faults=Faults())
     wire.link.elapse(0.5)
     simulated.inject_fault(Fault.ENCODER)
     device.link = Slow(wire, 0.1)

@@ -38,25 +38,13 @@ PIPES = Interface(endpoint(IN), endpoint(OUT))
 class Device:
     """The part of `usb.core.Device` that opening uses; `fails` maps a call to the error that it raises."""
 
-    backend = None
+    backend, bus, address, port_numbers, serial_number, product = None, 1, 7, (1,), "A", "stand-in"
 
-    def __init__(
-        self,
-        *interfaces: Any,
-        vendor: int = 0x1209,
-        product: int = 1,
-        serial: str = "A",
-        port: int = 1,
-        fails: Any = None,
-        driver: bool = False,
-    ) -> None:
-        self.idVendor, self.idProduct, self.serial_number = vendor, product, serial
-        self.bDeviceClass, self.bNumConfigurations, self.bus, self.address = 0, 1, 1, 7
-        self.port_numbers = (port,)
-        self.product = "stand-in"
+    def __init__(self, *interfaces: Any, fails: Any = None, driver: bool = False, **attributes: Any) -> None:
+        usual = {"idVendor": 0x1209, "idProduct": 1, "bDeviceClass": 0, "bNumConfigurations": 1}
+        vars(self).update(usual | attributes)
         self._configuration = list(interfaces or [PIPES])
-        self._fails = fails or {}
-        self._driver = driver
+        self._fails, self._driver = fails or {}, driver
         self.calls: list[str] = []
 
     def __getitem__(self, index: int) -> list[Interface]:
@@ -72,10 +60,7 @@ class Device:
         return partial(self._do, name)
 
 
-def hub() -> Device:
-    made = Device(vendor=0x1D6B)
-    made.bDeviceClass = 9
-    return made
+HUB = Device(idVendor=0x1D6B, bDeviceClass=9)
 
 
 @pytest.fixture
@@ -89,16 +74,11 @@ def bus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
         def close(self) -> None:
             Bus.closed += 1
 
-    def claim(device: Device, interface: int) -> None:
-        device._do("claim")
-
     monkeypatch.setattr(links, "UsbBus", Bus)
     monkeypatch.setattr(links, "SYSFS", tmp_path)
-    monkeypatch.setattr(links.usb.util, "claim_interface", claim)
+    monkeypatch.setattr(links.usb.util, "claim_interface", lambda device, interface: device._do("claim"))
     monkeypatch.setattr(links.usb.util, "release_interface", lambda device, interface: device._do("release"))
-    monkeypatch.setattr(
-        links, "_open", lambda url, device, pipes, wanted: SimpleNamespace(note="", close=list)
-    )
+    monkeypatch.setattr(links, "_open", lambda *_: SimpleNamespace(note="", close=list))
     return Bus
 
 
@@ -127,22 +107,20 @@ def test_options_are_known_ones(bus: Any) -> None:
 
 
 def test_no_such_device_lists_what_is_there(bus: Any) -> None:
-    other = Device(vendor=0x2E8A, product=0x000A, serial="E66")
-    caught = refused(bus, DeviceNotFoundError, other, hub(), Device(Interface(endpoint(IN)), vendor=1))
+    other = Device(idVendor=0x2E8A, idProduct=0x000A, serial_number="E66")
+    caught = refused(bus, DeviceNotFoundError, other, HUB, Device(Interface(endpoint(IN)), idVendor=1))
     assert "1209:0001" in caught.message
     assert "Rigs here: usb://2e8a:000a/E66 (stand-in)" in caught.remedy
     assert bus.closed == 1
-    assert "No USB device here looks like a rig" in refused(bus, DeviceNotFoundError, hub()).remedy
+    assert "No USB device here looks like a rig" in refused(bus, DeviceNotFoundError, HUB).remedy
 
 
 def test_a_serial_number_selects_one_of_two_devices(bus: Any) -> None:
-    pair = (Device(serial="A"), Device(serial="B", port=2))
+    pair = (Device(), Device(serial_number="B", port_numbers=(2,)))
     caught = refused(bus, DeviceNotFoundError, *pair)
     assert "usb://1209:0001/A, usb://1209:0001/B" in caught.remedy
-    assert (
-        "of a connected device: A, B"
-        in refused(bus, DeviceNotFoundError, *pair, url="usb://1209:0001/C").remedy
-    )
+    unknown = refused(bus, DeviceNotFoundError, *pair, url="usb://1209:0001/C")
+    assert "of a connected device: A, B" in unknown.remedy
     open_link("usb://1209:0001/B").close()
     assert pair[0].calls == []
     assert "claim" in pair[1].calls
@@ -151,7 +129,7 @@ def test_a_serial_number_selects_one_of_two_devices(bus: Any) -> None:
 def test_a_serial_number_is_read_from_sysfs(bus: Any, tmp_path: Path) -> None:
     (tmp_path / "1-4").mkdir()
     (tmp_path / "1-4" / "serial").write_text("KERNEL\n")
-    bus.devices = [Device(serial="ASKED", port=4)]
+    bus.devices = [Device(serial_number="ASKED", port_numbers=(4,))]
     (found,) = links.available_devices()
     assert (found.url, found.path, found.is_rig) == ("usb://1209:0001/KERNEL", "1-4", True)
 
@@ -181,9 +159,8 @@ def test_the_pipes_are_found_among_other_interfaces_and_endpoints(bus: Any) -> N
 
 
 def test_no_permission_gives_the_command_that_installs_the_rules(bus: Any) -> None:
-    caught = refused(
-        bus, DeviceNotFoundError, Device(fails={"get_active_configuration": error(errno.EACCES)})
-    )
+    device = Device(fails={"get_active_configuration": error(errno.EACCES)})
+    caught = refused(bus, DeviceNotFoundError, device)
     assert "no permission" in caught.message
     assert RULES_COMMAND in caught.remedy
 
