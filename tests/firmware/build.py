@@ -1,14 +1,17 @@
 """Build the firmware for this machine: the library for ctypes, and programs under the address sanitizer."""
 
+import fcntl
+import hashlib
 import shutil
 import subprocess
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import pytest
 
+from rig.realtime.kernel import CACHE_DIRECTORY
 from sim_backend.board import firmware_library
-from tests.firmware.kept import content, identity, kept
 
 SOURCES = firmware_library.FIRMWARE.sources()
 FIRMWARE = firmware_library.FIRMWARE.root
@@ -66,3 +69,36 @@ def kept_objects(gcc: str, sources: Sequence[Path], *flags: str) -> dict[Path, P
 def library() -> Path:
     """Return the core with its host port as a shared library; undefined behaviour ends the process."""
     return kept_c("libfirmware.so", SOURCES, ["-fPIC", "-shared", *UNDEFINED])
+
+
+# ---------------------------------------------------------------------- a cache, shared by test processes and runs
+
+
+def kept(key: str, make: Callable[[Path], None]) -> Path:
+    """Return a directory that `make` has filled for this key, now or in an earlier run; safe for parallel calls."""
+    path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    if not path.exists():
+        with open(f"{path}.lock", "w") as lock, tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY) as workplace:
+            fcntl.flock(
+                lock, fcntl.LOCK_EX
+            )  # linking an image takes seconds, which two processes need not spend
+            if not path.exists():
+                made = Path(workplace) / "made"
+                made.mkdir()
+                make(made)
+                made.rename(path)
+    return path
+
+
+def identity(program: str) -> str:
+    """Return a string that identifies the version of a program."""
+    place = Path(program).resolve()
+    return f"{place} {place.stat().st_size} {place.stat().st_mtime_ns}"
+
+
+def content(files: Iterable[Path]) -> str:
+    """Return a fingerprint of the paths and contents of files."""
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(f"{path}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()

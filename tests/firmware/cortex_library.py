@@ -1,18 +1,25 @@
-"""The host port built for a Cortex-M, with the functions of the shared library, so that tests can drive either.
+"""The firmware built for a Cortex-M and simulated: its host port with the functions of the shared library.
 
 `CortexLibrary` has the interface of `sim_backend.board.firmware_library.load`; addresses of this computer represent its
 only device. Each `host_tick` stores its cost.
 """
 
 import ctypes
+import pickle
 import struct
 from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+import pytest
+
+from rig.firmware import _cortex as cortex
+from rig.firmware._cortex import RAM, CortexCore, Image
+from rig.firmware._toolchain import find_compiler
 from sim_backend.board.firmware_library import HostStatus
-from tests.firmware import cortex
-from tests.firmware.build import FIRMWARE, SOURCES
-from tests.firmware.cortex import RAM, Image, Simulator
+from tests.firmware import cross
+from tests.firmware.build import FIRMWARE, SOURCES, content, kept
 
 ENTRIES = (
     "device_tick", "host_poll", "host_bytes", "host_setup", "host_narrow", "host_start", "host_receive", "host_take",
@@ -22,9 +29,35 @@ HOST, SETUP, STATUS, BYTES, DICTIONARY = (RAM + at for at in (0x0, 0x6_0000, 0x6
 MOST_BYTES, MOST_DICTIONARY = 0x3C00, 0x7000
 
 
-def build(core: cortex.CortexCore, *options: str) -> Image:
+CORES = {name: core for name, core in cortex.CORES.items() if core.cycles_known}
+
+
+def link(core: CortexCore, sources: Sequence[Path], entries: Sequence[str], *more: str) -> Image:
+    """Compile and link sources of the firmware for a core."""
+    cross.need_compiler()
+    options = [*(f"-I{FIRMWARE / part}" for part in ("core", "law")), *more]
+
+    def make(output: Path) -> None:
+        image = cortex.build(core, output, sources, entries, *options)
+        (output / "image").write_bytes(pickle.dumps(image))
+
+    read = content({*FIRMWARE.rglob("*.[ch]"), Path(cortex.__file__), *sources})
+    key = f"{core} {find_compiler()} {sources} {entries} {options} {read}"
+    image: Image = pickle.loads((kept(key, make) / "image").read_bytes())
+    return image
+
+
+class Simulator(cortex.Simulator):
+    """A simulated core with an image in its flash."""
+
+    def __post_init__(self) -> None:
+        pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
+        super().__post_init__()
+
+
+def build(core: CortexCore, *options: str) -> Image:
     """Return the image of the core, the law and the host port for a processor."""
-    image = cortex.build(core, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
+    image = link(core, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
     held = [name for name in image.sizes if image.symbols[name] >= RAM]
     assert not held, f"globals: {held}"
     return image

@@ -17,8 +17,7 @@ from rig.firmware import _boards as boards
 from rig.firmware._build import BuildRequest, BuildResult, build, sources_hash
 from rig.firmware._toolchain import COMPILER, find_compiler
 from rig.realtime.source_files import source_files
-from tests.firmware.build import FIRMWARE
-from tests.firmware.kept import content, kept
+from tests.firmware.build import FIRMWARE, content, kept
 
 RIG = "koul-rigid"
 PYTHON = ("firmware_protocol", "rig.firmware", "rig.config", "rig.core")  # what configures an image

@@ -1,7 +1,7 @@
 """The whole tick of a device that runs its law, on Cortex-M0+, M4F and M7: the currents of this computer, in budgets.
 
 The functions of the hardware are those of the host port, which cost next to nothing; cycles are estimates of
-`tests.firmware.cortex`.
+`tests.firmware.cortex_library`.
 """
 
 import ctypes
@@ -12,7 +12,7 @@ import pytest
 from rig import config
 from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.firmware.tick_budget import INTEGERS, TICKS
-from tests.firmware import cortex
+from tests.firmware import cortex_library as cortex
 from tests.firmware.cortex_library import CortexLibrary, build
 from tests.firmware.law.law_cases import excited
 from tests.firmware.law.law_design import FIXED, FLOAT, values_of
@@ -104,7 +104,7 @@ def test_an_excitation_is_ready_in_seconds() -> None:
     entries = ("law_excitation_begin", "law_excitation_continue")
     for phases in PHASES:
         excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)
-        simulator = cortex.Simulator(cortex.build(core, sorted(SOURCES.glob("*.c")), entries))
+        simulator = cortex.Simulator(cortex.link(core, sorted(SOURCES.glob("*.c")), entries))
         simulator.uc.mem_write(PARAMETERS, bytes(excited(FIXED, excitation)))
         simulator.call("law_excitation_begin", WORK, PARAMETERS + Parameters.excitation.offset, TABLE)
         cosines = 2 * excitation.lines

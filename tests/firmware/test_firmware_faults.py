@@ -41,14 +41,9 @@ from tests.firmware.supervised import Sample, samples_of
 RATE = 20_000
 START = -0.015
 LAG_TICKS = 200  # many times the lag of the amplifier: the residual effort is zero
+CHANGES = {"controller.loop": "device", "controller.position_rate": RATE, "controller.velocity_rate": 2_000}
 EXPERIMENT = config.override(
-    config.with_realtime(presets.load("koul-compliant")),
-    {
-        "controller.loop": "device",
-        "controller.position_rate": RATE,
-        "controller.velocity_rate": 2_000,
-        "trial.duration_s": 30.0,
-    },
+    config.with_realtime(presets.load("koul-compliant")), {**CHANGES, "trial.duration_s": 30.0}
 )
 MODEL = config.rig_model(EXPERIMENT)
 PARAMETERS = controller.prepare_controller(
@@ -206,14 +201,6 @@ def test_samples_up_to_a_fault_arrive_and_the_lagging_effort_ends(name: str) -> 
     far.check_at_rest(Fault.EMERGENCY_STOP, Fault.ENCODER)
 
 
-def test_samples_arrive_in_the_ramp_too() -> None:
-    far = InTheWall().begin()
-    far.command()
-    far.watch(far.ticks_of(far.lifetime_us + far.ramp_us // 2))
-    far.run(RATE // 10)
-    assert all(after.index - before.index == 1 for before, after in pairwise(far.samples))
-
-
 def jam(plant: PlantArguments) -> PlantArguments:
     """Return the plant with friction above every effort."""
     parameters = plant.parameters.copy()
@@ -242,18 +229,6 @@ def test_a_motor_and_an_encoder_that_disagree_about_the_direction_are_stopped() 
     far.check_at_rest(Fault.RUNAWAY, Fault.OVER_SPEED, Fault.POSITION_WINDOW)
 
 
-def test_the_speed_at_which_it_is_stopped_is_the_limit() -> None:
-    far = InTheWall().begin()
-    far.push_handle(5.0)
-    far.ticks_to_fault(RATE)
-    counts = np.array([sample.count for sample in far.samples])
-    over_5_ms = np.abs(counts[100:] - counts[:-100]) / 0.005
-    limit = float(PARAMETERS["speed_limit"])
-    if far.device.fault is Fault.OVER_SPEED:
-        assert over_5_ms[-1] > limit
-        assert over_5_ms[:-1].max() <= limit * 1.001 + 1 / 0.005
-
-
 @pytest.mark.parametrize(
     ("name", "value", "status"),
     [
@@ -265,7 +240,7 @@ def test_the_speed_at_which_it_is_stopped_is_the_limit() -> None:
 )
 def test_invalid_parameter_is_refused_and_the_wall_continues(name: str, value: float, status: Status) -> None:
     parameter = BY_NAME[name]
-    kind = {"f32": "<Hf", "u32": "<HI", "u16": "<HI", "i32": "<Hi"}.get(parameter.ctype, "<HI")
+    kind = "<Hf" if parameter.ctype == "f32" else "<HI"
     far, twin = (InTheWall().begin() for _ in range(2))
     ack = far.host.set_block(struct.pack(kind, parameter.id, value))
     assert ack.status in (status, Status.OUT_OF_RANGE)

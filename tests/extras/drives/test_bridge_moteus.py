@@ -1,6 +1,8 @@
 """A bridge rejects an unsuitable moteus with a message that gives reason and remedy, and nothing moves."""
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -19,7 +21,6 @@ from rig.extras.drives.moteus import MoteusConversation, find, fit, switches_of
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from tests.conformance.bridged import MOTEUS_SETUP, Bridged, MemoryBus, bridged_rig, find_moteus
 from tests.conformance.host import RUN_PARAMETERS, Host
-from tests.extras.drives.conftest import other
 
 TURN = 4 * 4096  # counts
 
@@ -27,6 +28,15 @@ TURN = 4 * 4096  # counts
 def moteus(**settings: str) -> SimulatedMoteus:
     named = {name.replace("__", "."): text for name, text in settings.items()}
     return SimulatedMoteus(bridged_rig(), MoteusOptions(settings={**MOTEUS_SETUP, **named}))
+
+
+def other(**parts: Any) -> RigModel:
+    """Return the rig of the tests with changed parts, by their keys or whole."""
+    model = bridged_rig()
+    for name, changed in parts.items():
+        part = replace(getattr(model, name), **changed) if isinstance(changed, dict) else changed
+        model = replace(model, **{name: part})
+    return model
 
 
 def refusal(

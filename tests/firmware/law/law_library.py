@@ -8,8 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from tests.firmware.build import compiler
-from tests.firmware.kept import content, identity, kept
+from tests.firmware.build import compiler, content, identity, kept
 
 SOURCES = Path(__file__).parents[3] / "firmware_protocol" / "firmware" / "law"
 DRIVER = Path(__file__).with_name("law_driver.c")

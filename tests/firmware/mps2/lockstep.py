@@ -4,10 +4,12 @@ Both reply to the same requests (`boards/mps2/lockstep.c` has their bytes), one 
 """
 
 import os
+import re
 import select
 import struct
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,10 +24,9 @@ from rig.firmware._board_config import configure
 from rig.firmware._build import BuildResult, package_version, sources_hash
 from rig.realtime.clock import VirtualClock
 from sim_backend.board.hardware import Hardware
-from tests.conformance.started import LEASH
+from tests.conformance.started import LEASH, started
 from tests.firmware import cross
-from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c, library
-from tests.firmware.kept import kept
+from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c, kept, library
 
 UNITS_PER_SECOND = 16_000_000
 REQUEST = struct.Struct("<BBhiQQ?7x64s")
@@ -100,11 +101,26 @@ class Partner:
         os.close(self._replies)
 
 
-def emulator(board: str, serial: str = "none") -> list[str]:
-    """Return the emulator's command for a board; its time is counted in instructions."""
+COUNTED = ("-icount", "shift=5,sleep=off")  # time in instructions
+
+
+def emulator(board: str, serial: str = "none", time: Sequence[str] = COUNTED) -> list[str]:
+    """Return the emulator's command for a board."""
     machine = MACHINES[board.partition("-")[2] or "an386"]
     command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", serial]
-    return [*command, "-semihosting-config", "enable=on,target=native", "-icount", "shift=5,sleep=off"]
+    return [*command, "-semihosting-config", "enable=on,target=native", *time]
+
+
+@contextmanager
+def behind_uart(command: Sequence[object], image: BuildResult) -> Iterator[str]:
+    """Run an image in the emulator, with its UART as a pseudo-terminal of this computer; yield the URL."""
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with started(*command, "-kernel", image.elf, text=True, **pipes) as process:
+        assert process.stdout is not None
+        printed = process.stdout.readline()
+        place = re.search(r"/dev/pts/\d+", printed)
+        assert place is not None, printed
+        yield f"serial://{place[0]}"
 
 
 def in_emulator(built: BuildResult, directory: Path) -> Partner:

@@ -1,13 +1,17 @@
-"""`rig firmware selftest` on the whole binary: the reported values, and a law that is too slow for the board."""
+"""`rig firmware selftest` and `check-port` on whole images, the latter with outputs wired to inputs and a current."""
 
 from collections.abc import Callable
 
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
+from rig.core.check import Outcome
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.firmware import _selftest as selftest
+from rig.firmware._build import PORT_CHECK
+from rig.firmware._port_check import PortCheckRequest, check_port
+from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.emulator import PRESET
 from tests.firmware.rp2040.session import Session
 
@@ -37,3 +41,38 @@ def test_a_law_that_is_too_slow_for_the_board_is_found_before_anything_moves(
     check = selftest._stream(device_of(powered(position=0.0)), request)
     assert check.outcome == "refused"
     assert Fault.TICK_OVERRUN.text in check.text
+
+
+# ---------------------------------------------------------------------- the duties of the port
+
+
+# 268 s of an emulated board, until bit 32 of its time changes, would take hours.
+REQUEST = PortCheckRequest(current=400, wired=True, seconds=0.05, bootloader=True)
+UNSEEN = {"time width"}
+
+
+class Link(emulator.PicoLink):
+    """A serial line that survives resets of the board."""
+
+    url = DeviceUrl("emulated", "pico", {}, "emulated://pico")  # type: ignore[assignment]
+
+    def failure(self) -> None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+def test_the_pico_keeps_every_duty_that_can_be_seen() -> None:
+    model = emulator.built("usual")[0]
+    built = emulator.image(model, PORT_CHECK)
+    with emulator.Pico(model, built.bin) as pico:
+        pico.ask("loop")
+        link = Link(pico)
+        found = check_port(lambda: link, REQUEST)  # type: ignore[arg-type, return-value]
+        look = pico.look()
+    not_ok = {one.name: one.text for one in found.checks if one.outcome is not Outcome.OK}
+    assert set(not_ok) == UNSEEN, not_ok
+    assert look["resets"] == 3  # two bites, and the way into the boot loader
+    assert look["bootloader"]
+    assert not look["enabled"]

@@ -146,19 +146,6 @@ def test_configuration_on_and_off(host: Host) -> None:
     assert host.firmware_reads() == b"back"
 
 
-def test_status_of_device_interface_and_endpoint(host: Host) -> None:
-    assert host.control_in(0x80, 0, length=2) == b"\0\0"
-    assert host.control_in(0x81, 0, index=0, length=2) == b"\0\0"
-    assert host.control_in(0x82, 0, index=IN | RIG, length=2) == b"\0\0"
-    assert host.control_in(0x81, 10, index=2, length=1) == b"\0"
-    for index in (3, 255):
-        with pytest.raises(StallError):
-            host.control_in(0x81, 0, index=index, length=2)
-    for address in (4, IN | 4, 3):
-        with pytest.raises(StallError):
-            host.control_in(0x82, 0, index=address, length=2)
-
-
 @pytest.mark.parametrize("endpoint", [RIG, IN | RIG, PORT, IN | PORT, IN | NOTES])
 def test_a_halt_lasts_until_it_is_cleared(host: Host, endpoint: int) -> None:
     host.control_out(2, 3, 0, endpoint)

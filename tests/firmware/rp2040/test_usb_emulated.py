@@ -18,8 +18,7 @@ from rig.experiments.hits.hit import HitRequest, hit
 from rig.firmware._build import BuildResult
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.session import WIDE_OPEN, Session
-from tests.firmware.rp2040.usb_line import UsbLine, UsbSupervisor
-from tests.firmware.rp2040.usb_link import EmulatedUsb
+from tests.firmware.rp2040.usb_line import EmulatedUsb, UsbLine, UsbSupervisor
 from tests.firmware.test_core_law import push, run_values
 
 RIG, PORT = 1, 2

@@ -9,7 +9,7 @@ import pytest
 
 from rig.firmware._elf import flat, read_segments, seal
 from tests.firmware.rp2040 import emulator
-from tests.firmware.rp2040.test_rp2040_image import BOOT2_BYTES
+from tests.firmware.rp2040.test_rp2040_boot import BOOT2_BYTES
 from tests.firmware.rp2040.usb_host import BOARD, CORE
 from tests.firmware.rp2040.usb_line import UsbLine
 
