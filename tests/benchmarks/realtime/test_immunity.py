@@ -18,26 +18,11 @@ import pytest
 from rig.realtime.ring import Ring
 from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
-from tests.benchmarks.realtime.workbench import (
-    CPUS,
-    FULL,
-    PRIORITY,
-    NearLink,
-    compile_c,
-    cyclictest_latency,
-    find_cyclictest,
-    interpreter_hogs,
-    may_be_realtime,
-    print_table,
-    processor_hogs,
-    python_lateness,
-    quantiles,
-    running_loop,
-)
+from tests.benchmarks.realtime import workbench
 from tests.conformance.recording import example_header
 
-RATES = (1000, 2000, 5000, 10_000) if FULL else (10_000,)
-SECONDS = 20.0 if FULL else 1.0
+RATES = (1000, 2000, 5000, 10_000) if workbench.FULL else (10_000,)
+SECONDS = 20.0 if workbench.FULL else 1.0
 RING_SECONDS = 5.0
 TRIES = 5
 LEAST_RUN = 0.98  # of the share that cyclictest runs in its turn: a virtual machine stands still at times
@@ -48,13 +33,13 @@ pytestmark = pytest.mark.timeout(900)
 
 @pytest.fixture(scope="module")
 def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compile_c(tmp_path_factory.mktemp("c"), "near", "-fPIC", "-shared")
+    return workbench.compile_c(tmp_path_factory.mktemp("c"), "near", "-fPIC", "-shared")
 
 
 @contextlib.contextmanager
 def busy() -> Iterator[None]:
     """Run all load generators of this benchmark."""
-    with processor_hogs(len(CPUS)), interpreter_hogs():
+    with workbench.processor_hogs(len(workbench.CPUS)), workbench.interpreter_hogs():
         yield
 
 
@@ -62,7 +47,10 @@ def run_recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
     """Run loop and recorder for `SECONDS`; return ticks due, run, dropped and recorded, and the lateness."""
     ring = Ring.allocate(round(RING_SECONDS * rate))
     with Recorder(path, example_header(), ring) as recorder:
-        with running_loop(NearLink(near, rate), rate, ring, host_paced=True) as loop, busy():
+        with (
+            workbench.running_loop(workbench.NearLink(near, rate), rate, ring, host_paced=True) as loop,
+            busy(),
+        ):
             time.sleep(SECONDS)
             loop.stop()
             stopped_ns = time.monotonic_ns()
@@ -71,7 +59,7 @@ def run_recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
     assert recording.complete
     assert not recording.lost
     rows = recording.rows
-    _, p99, p999, greatest = quantiles(rows["lateness"] * 1e-3)
+    _, p99, p999, greatest = workbench.quantiles(rows["lateness"] * 1e-3)
     counters = loop.end().counters
     return {
         "due": counters["ticks"] + counters["overruns"],
@@ -89,14 +77,14 @@ def beside_load(rate: int, measure: Callable[[], np.ndarray]) -> dict[str, float
     """Return the same figures of another program, from its lateness; a turn that it slept through was due, too."""
     with busy():
         late = measure()
-    _, p99, p999, greatest = quantiles(late * 1e-3)
+    _, p99, p999, greatest = workbench.quantiles(late * 1e-3)
     passed = int((late // (1_000_000_000 // rate)).sum())
     return {"due": len(late) + passed, "run": len(late), "p99": p99, "p99.9": p999, "max": greatest}
 
 
 def test_a_busy_program_takes_no_tick_from_the_loop(near: Path, tmp_path: Path) -> None:
-    priority = PRIORITY if may_be_realtime() else 0
-    program = find_cyclictest() if priority else None
+    priority = workbench.PRIORITY if workbench.may_be_realtime() else 0
+    program = workbench.find_cyclictest() if priority else None
     rows, shares, of_python = [], [], []
     for rate in RATES:
         for _ in range(TRIES):
@@ -106,13 +94,13 @@ def test_a_busy_program_takes_no_tick_from_the_loop(near: Path, tmp_path: Path) 
             found, possible = {"rig": mine}, 1.0
             if program is not None:
                 found["cyclictest"] = theirs = beside_load(
-                    rate, partial(cyclictest_latency, program, rate, SECONDS, tmp_path)
+                    rate, partial(workbench.cyclictest_latency, program, rate, SECONDS, tmp_path)
                 )
                 possible = theirs["run"] / theirs["due"]
             share_of_possible = mine["run"] / mine["due"] / possible
             if share_of_possible > LEAST_RUN:
                 break
-        found["plain Python"] = beside_load(rate, partial(python_lateness, rate, SECONDS))
+        found["plain Python"] = beside_load(rate, partial(workbench.python_lateness, rate, SECONDS))
         shares.append(share_of_possible)
         of_python.append(found["plain Python"]["run"] / found["plain Python"]["due"])
         for name, one in found.items():
@@ -124,7 +112,7 @@ def test_a_busy_program_takes_no_tick_from_the_loop(near: Path, tmp_path: Path) 
             )
     kind = f"SCHED_FIFO {priority}" if priority else "SCHED_OTHER: no real-time priority is granted here"
     head = ["beside a GIL hog, gc and CPU hogs", "ticks run / due", "", "p99 µs", "p99.9", "max", "rows lost"]
-    print_table(f"immunity, {kind}, {SECONDS:g} s each", head, rows)
+    workbench.print_table(f"immunity, {kind}, {SECONDS:g} s each", head, rows)
     assert max(of_python) < MOST_OF_PYTHON
     if priority:
         assert min(shares) > LEAST_RUN

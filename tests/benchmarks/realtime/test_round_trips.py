@@ -40,26 +40,11 @@ from rig.loop._host import SHORTEST_WAIT_NS
 from rig.realtime import control_words
 from rig.realtime.clock import MonotonicClock
 from rig.realtime.ring import Ring
-from tests.benchmarks.realtime.workbench import (
-    CPUS,
-    FULL,
-    PRIORITY,
-    SESSION,
-    command_frame,
-    compile_c,
-    descriptor_link,
-    inherited,
-    may_be_realtime,
-    medians,
-    print_table,
-    processor_hogs,
-    quantiles,
-    running_loop,
-)
+from tests.benchmarks.realtime import workbench
 from tests.conformance.started import LEASH
 
 RATE = 20_000  # a period shorter than SHORTEST_WAIT_NS, so that both wait for that
-ROUNDS, SECONDS = (15, 0.5) if FULL else (5, 0.12)
+ROUNDS, SECONDS = (15, 0.5) if workbench.FULL else (5, 0.12)
 TRIES = 3
 RING_ROWS = round(SECONDS * 200_000)
 STATE_FRAME_BYTES = encoded_bytes(m.State)
@@ -106,7 +91,7 @@ def open_socket_pair() -> Iterator[tuple[Wire, int]]:
     ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.settimeout(1.0)
-        port = descriptor_link(ours.fileno()).port
+        port = workbench.descriptor_link(ours.fileno()).port
         yield Wire(ours.fileno(), port, ours.send, ours.recv), theirs.fileno()
 
 
@@ -123,7 +108,7 @@ class Contest:
     def settle(self) -> None:
         """Discard what is still in transit, up to the reply to a marked COMMAND."""
         self._marker = self._marker % 1000 + 1
-        os.write(self.wire.descriptor, command_frame(self._marker))
+        os.write(self.wire.descriptor, workbench.command_frame(self._marker))
         splitter, deadline = FrameSplitter(), time.monotonic() + WAIT_S
         while time.monotonic() < deadline:
             select.select([self.wire.descriptor], [], [], 0.1)
@@ -136,13 +121,13 @@ class Contest:
 
     def kick(self) -> None:
         """Send one COMMAND; its reply is the first STATE that a contestant receives."""
-        os.write(self.wire.descriptor, command_frame(2000))
+        os.write(self.wire.descriptor, workbench.command_frame(2000))
 
     def ours(self) -> np.ndarray:
         """Return the receive times of the shipped loop (ns)."""
         self.settle()
         ring = Ring.allocate(RING_ROWS)
-        with running_loop(self.wire, RATE, ring, cpu=None) as loop:
+        with workbench.running_loop(self.wire, RATE, ring, cpu=None) as loop:
             self.kick()
             time.sleep(SECONDS)
         counters = loop.end().counters
@@ -153,7 +138,7 @@ class Contest:
         """Return the receive times of the client in C (ns)."""
         self.settle()
         self.kick()
-        arguments = [self.wire.descriptor, self.priority, SECONDS, SESSION, SHORTEST_WAIT_NS]
+        arguments = [self.wire.descriptor, self.priority, SECONDS, workbench.SESSION, SHORTEST_WAIT_NS]
         done = subprocess.run(
             [self.client, *map(str, arguments)],
             check=True, stdout=subprocess.PIPE, pass_fds=[self.wire.descriptor], timeout=60,
@@ -163,7 +148,7 @@ class Contest:
     def python(self) -> np.ndarray:
         """Return the receive times of plain writes and reads in a Python thread of the same priority (ns)."""
         self.settle()
-        command, write, read = command_frame(0), self.wire.write, self.wire.read_exactly
+        command, write, read = workbench.command_frame(0), self.wire.write, self.wire.read_exactly
         times: list[int] = []
 
         def trips() -> None:
@@ -177,7 +162,7 @@ class Contest:
                 times.append(now)
 
         thread = threading.Thread(target=trips)
-        with inherited(self.priority):
+        with workbench.inherited(self.priority):
             thread.start()
         thread.join()
         assert times
@@ -207,7 +192,7 @@ def contest(link: str, programs: dict[str, str], priority: int) -> Iterator[Cont
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     directory = tmp_path_factory.mktemp("c")
-    return {name: str(compile_c(directory, name)) for name in ("far_end", "client")}
+    return {name: str(workbench.compile_c(directory, name)) for name in ("far_end", "client")}
 
 
 def measure_link(link: str, programs: dict[str, str], priority: int) -> dict[str, list[list[float]]]:
@@ -222,7 +207,7 @@ def measure_link(link: str, programs: dict[str, str], priority: int) -> dict[str
                 trips = np.diff(getattr(here, name)()) * 1e-3
                 if len(trips) == 0:  # the machine stood still
                     trips = np.array([SECONDS * 1e6])
-                found[name].append([1e6 * len(trips) / trips.sum(), *quantiles(trips)])
+                found[name].append([1e6 * len(trips) / trips.sum(), *workbench.quantiles(trips)])
     return found
 
 
@@ -233,11 +218,11 @@ def ratio_of(found: dict[str, list[list[float]]], other: str) -> float:
 
 @pytest.mark.parametrize("load", ["idle", "loaded"])
 def test_round_trips_a_second_beside_c_and_pyserial(programs: dict[str, str], load: str) -> None:
-    priority = PRIORITY if may_be_realtime() else 0
+    priority = workbench.PRIORITY if workbench.may_be_realtime() else 0
     if load == "loaded" and not priority:
         pytest.skip("under load only SCHED_FIFO says something, and it is not granted here (CAP_SYS_NICE)")
     rows, ratios = [], {}
-    with processor_hogs(len(CPUS) if load == "loaded" else 0):
+    with workbench.processor_hogs(len(workbench.CPUS) if load == "loaded" else 0):
         for link in LINKS:
             tries = TRIES if link != "pty" or load == "idle" else 1
             for _ in range(tries):
@@ -250,10 +235,10 @@ def test_round_trips_a_second_beside_c_and_pyserial(programs: dict[str, str], lo
             python = "pyserial" if link == "pty" else "socket"
             shown = {"ours": f"{link}: rig", "c": f"{link}: C client", "python": f"{link}: plain {python}"}
             for name, label in shown.items():
-                rate, *trips = medians(found[name])
+                rate, *trips = workbench.medians(found[name])
                 over = "" if name == "ours" else f"{ratio_of(found, name):.2f}"
                 rows.append([label, f"{rate / 1e3:.1f}", *(f"{trip:.0f}" for trip in trips), over])
     kind = f"SCHED_FIFO {priority} at both ends" if priority else "SCHED_OTHER"
     head = ["link", "thousand/s", "p50 µs", "p99", "p99.9", "max", "rig / it"]
-    print_table(f"round trips, {load}, {kind}, medians of {ROUNDS} × {SECONDS} s", head, rows)
+    workbench.print_table(f"round trips, {load}, {kind}, medians of {ROUNDS} × {SECONDS} s", head, rows)
     assert all(ratio > LEAST_OF_C for ratio in ratios.values()), f"rig / C client: {ratios}"

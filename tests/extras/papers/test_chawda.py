@@ -16,20 +16,8 @@ from rig.experiments.mapping.impedance import measure_impedance
 from rig.experiments.mapping.table_one import PAPER
 from rig.extras.papers.chawda import parts as chawda_parts
 from rig.extras.papers.chawda import reproduction as chawda
-from rig.extras.papers.chawda import rules
+from rig.extras.papers.chawda import rigs, rules
 from rig.extras.papers.chawda.readings import ExcitationGrid, Readings, read
-from rig.extras.papers.chawda.rigs import (
-    FULL,
-    MAIN,
-    QUICK,
-    READINGS,
-    SCHEMES,
-    Reading,
-    dual_rig,
-    dual_schemes,
-    excited_rig,
-    pushed_rig,
-)
 from rig.extras.papers.parts import run_parts
 
 # --- rules: every verdict can be reached ---------------------------------------------------------------------
@@ -112,7 +100,7 @@ def test_a_reading_in_deviations_is_that_of_a_verdict(seed: int, tolerance: floa
         lines, z, random.uniform(0.0, 2.0, 40), np.ones(40), random.uniform(0.4, 1.0, 40) ** 0.1,
         residual, 4, 12, "periodic", degrees_of_freedom=6.0,
     )  # fmt: skip
-    reading = Reading(low_hz=3.0, high_hz=20.0, tolerance=tolerance)
+    reading = rigs.Reading(low_hz=3.0, high_hz=20.0, tolerance=tolerance)
     (passes,), (error,) = read(found, 10.0, 1.0, [reading])
     asked = judge(found, (3.0, 20.0), z_score=tolerance, residual_threshold=RESIDUAL)
     assert bool(passes) == asked.passive
@@ -124,23 +112,23 @@ def test_a_reading_in_degrees_lets_the_phase_miss_by_so_much() -> None:
     for beyond, passes in ((0.9, True), (1.1, False)):
         z = np.exp(1j * np.radians(-(90.0 + beyond)) * np.ones(3))
         found = Impedance.exact(np.array([1.0, 2.0, 3.0]), z)
-        reading = Reading(low_hz=1.0, high_hz=3.0, tolerance=1.0, kind="degrees")
+        reading = rigs.Reading(low_hz=1.0, high_hz=3.0, tolerance=1.0, kind="degrees")
         assert bool(read(found, 0.0, 0.0, [reading])[0][0]) is passes
 
 
 def test_the_main_reading_is_the_default_of_an_impedance_verdict() -> None:
-    excitation = config.as_mapping(pushed_rig(1000))["excitation"]
-    main = READINGS[MAIN]
+    excitation = config.as_mapping(rigs.pushed_rig(1000))["excitation"]
+    main = rigs.READINGS[rigs.MAIN]
     assert (main.low_hz, main.high_hz) == (excitation["low_hz"], excitation["high_hz"])
     assert main.text == "1 to 250 Hz, ±90° and 2 standard deviations"
 
 
 def _grid(**changes: object) -> ExcitationGrid:
     short = {"excitation.realisations": 2, "excitation.periods": 2, "excitation.settle_periods": 1}
-    rig = config.override(excited_rig(QUICK), short)
+    rig = config.override(rigs.excited_rig(rigs.QUICK), short)
     whole = {
-        "experiment": rig, "schemes": (SCHEMES["FDM+filter"], SCHEMES["Levant"]), "stiffnesses": (5e3, 2e4, 9e5),
-        "dampings": (10.0, 60.0), "readings": READINGS, "measurements": 2,
+        "experiment": rig, "schemes": (rigs.SCHEMES["FDM+filter"], rigs.SCHEMES["Levant"]), "dampings": (10.0, 60.0),
+        "stiffnesses": (5e3, 2e4, 9e5), "readings": rigs.READINGS, "measurements": 2,
     }  # fmt: skip
     return ExcitationGrid(**(whole | changes))  # type: ignore[arg-type]
 
@@ -152,7 +140,7 @@ def test_a_wider_band_and_less_tolerance_only_take_walls_away() -> None:
     assert not found.passive[..., 2].any()  # 900 kN/m at 1 kHz is far beyond what is stable
     tops = (100.0, 200.0, 400.0)
     strict, allowed = (
-        [READINGS.index(Reading(low_hz=1.0, high_hz=top, tolerance=tolerance)) for top in tops]
+        [rigs.READINGS.index(rigs.Reading(low_hz=1.0, high_hz=top, tolerance=tolerance)) for top in tops]
         for tolerance in (0.0, 2.0)
     )
     for some in (strict, allowed):
@@ -166,7 +154,7 @@ def test_a_measurement_of_a_grid_is_that_of_the_command() -> None:
     grid = _grid(measurements=1, stiffnesses=(2e4,), dampings=(60.0,))
     found = Readings.of(grid, run_parts({"map": grid.part()}).results["map"])
     results = measure_impedance(grid.experiment, walls=[(2e4, 60.0)], schemes=grid.schemes)
-    whole = READINGS.index(Reading(low_hz=1.0, high_hz=400.0, tolerance=2.0))
+    whole = rigs.READINGS.index(rigs.Reading(low_hz=1.0, high_hz=400.0, tolerance=2.0))
     for scheme, result in enumerate(results):
         assert result.judgement is not None
         assert result.fidelity is not None
@@ -178,11 +166,11 @@ def test_a_measurement_of_a_grid_is_that_of_the_command() -> None:
 
 
 def test_schemes_can_run_on_their_rigs_and_table_one_is_in_their_order() -> None:
-    for scheme in SCHEMES.values():
-        scheme.applied(excited_rig(FULL))
-    for scheme in dual_schemes():
-        scheme.applied(dual_rig("koul-rigid", FULL))
-    assert [scheme.estimator for scheme in SCHEMES.values()] == list(PAPER)
+    for scheme in rigs.SCHEMES.values():
+        scheme.applied(rigs.excited_rig(rigs.FULL))
+    for scheme in rigs.dual_schemes():
+        scheme.applied(rigs.dual_rig("koul-rigid", rigs.FULL))
+    assert [scheme.estimator for scheme in rigs.SCHEMES.values()] == list(PAPER)
 
 
 def test_without_a_wall_the_error_is_the_rigs_own_impedance() -> None:
@@ -193,8 +181,10 @@ def test_without_a_wall_the_error_is_the_rigs_own_impedance() -> None:
 
 
 def test_undamped_walls_hold_twice_the_damping_over_the_period() -> None:
-    rig = config.excited(excited_rig(QUICK))
-    payload = chawda_parts.control_payload(rig, SCHEMES["FDM+filter"], chawda.CONTROL_SEARCH, (1.0, 400.0))
+    rig = config.excited(rigs.excited_rig(rigs.QUICK))
+    payload = chawda_parts.control_payload(
+        rig, rigs.SCHEMES["FDM+filter"], chawda.CONTROL_SEARCH, (1.0, 400.0)
+    )
     found = chawda_parts.control(payload)
     assert found["stiffness"] == pytest.approx(26_400.0, rel=0.03)
     alone = chawda_parts.fidelity_without_wall(0.52, 13.2, (1.0, 400.0))

@@ -17,6 +17,7 @@ from rig.control import estimators
 from rig.core.errors import ConfigError
 from rig.core.present import plain
 from rig.core.sample import ROW, Phase
+from rig.experiments.estimation import tuning
 from rig.experiments.estimation._signals import SIGNALS, edge_times, sine
 from rig.experiments.estimation.cases import recording_case, signal_case
 from rig.experiments.estimation.estimators import (
@@ -27,12 +28,6 @@ from rig.experiments.estimation.estimators import (
     estimates,
     rest_noise,
     score,
-)
-from rig.experiments.estimation.tuning import (
-    DECADES,
-    OBJECTIVES,
-    WITHIN,
-    tune_estimator,
 )
 from rig.recording.data import Recording
 from tests.conformance.tiers import first_by_default
@@ -264,16 +259,16 @@ def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_doe
 # --- tuning -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("objective", first_by_default(OBJECTIVES))
+@pytest.mark.parametrize("objective", first_by_default(tuning.OBJECTIVES))
 def test_the_optimum_is_what_a_fine_scan_finds(objective: Any) -> None:
     case = hit(5000, COARSE)
-    found = tune_estimator("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])
+    found = tuning.tune_estimator("fdm-butterworth", case, objective=objective, free=["cutoff_hz"])
     scan = np.geomspace(20.0, 2400.0, 150)
     variants = [Variant("fdm-butterworth", {"cutoff_hz": f}) for f in scan]
-    values = [OBJECTIVES[objective](case, estimates(case, one)) for one in variants]
+    values = [tuning.OBJECTIVES[objective](case, estimates(case, one)) for one in variants]
     assert found.objective_best <= 1.002 * min(values)
     (within,) = found.ranges
-    inside = scan[np.array(values) <= (1 + WITHIN) * found.objective_best]
+    inside = scan[np.array(values) <= (1 + tuning.WITHIN) * found.objective_best]
     assert within.low == pytest.approx(inside[0], rel=0.1)
     assert within.high == pytest.approx(inside[-1], rel=0.1)
     assert within.low <= within.value <= within.high
@@ -282,34 +277,34 @@ def test_the_optimum_is_what_a_fine_scan_finds(objective: Any) -> None:
 
 
 def test_whole_numbers_are_tuned_as_whole_numbers() -> None:
-    found = tune_estimator("fdm-butterworth", hit(resolution=COARSE), free=["order"])
+    found = tuning.tune_estimator("fdm-butterworth", hit(resolution=COARSE), free=["order"])
     assert found.settings["order"] == round(found.settings["order"]) != 2.0
 
 
 def test_a_setting_that_makes_no_difference_stays_where_it_was() -> None:
     """The window limit ends each chord before the band does, so the band has no effect and stays at 1."""
-    found = tune_estimator("foaw-end", hit(5000, COARSE))
+    found = tuning.tune_estimator("foaw-end", hit(5000, COARSE))
     assert list(found.settings) == ["window_limit"]
     assert {r.setting: (r.value, r.open_above) for r in found.ranges}["band"] == (1.0, True)
 
 
 def test_given_settings_are_kept_and_only_free_ones_move() -> None:
-    found = tune_estimator("fdm-butterworth", hit(), settings={"order": 1.0}, free=["cutoff_hz"])
+    found = tuning.tune_estimator("fdm-butterworth", hit(), settings={"order": 1.0}, free=["cutoff_hz"])
     assert found.settings["order"] == 1.0
     assert [r.setting for r in found.ranges] == ["cutoff_hz"]
 
 
 def test_a_property_of_the_rig_is_tuned_only_if_it_is_named_and_around_its_value() -> None:
     case = recording_case(record_signal(SWING), 2000)
-    usual = tune_estimator("disturbance", case)
+    usual = tuning.tune_estimator("disturbance", case)
     assert [one.setting for one in usual.ranges] == ["frequency_hz"]
-    (within,) = tune_estimator("disturbance", case, free=["inertia"]).ranges
-    reach = 10.0**DECADES
+    (within,) = tuning.tune_estimator("disturbance", case, free=["inertia"]).ranges
+    reach = 10.0**tuning.DECADES
     assert case.rig["inertia"] / reach <= within.value <= case.rig["inertia"] * reach
 
 
 def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: Path) -> None:
-    found = tune_estimator("fdm-butterworth", hit(), objective="delay-corrected-rms")
+    found = tuning.tune_estimator("fdm-butterworth", hit(), objective="delay-corrected-rms")
     assert tomllib.loads(found.toml())["controller"]["estimator"] == "fdm-butterworth"
     file = tmp_path / "tuned.toml"
     file.write_text('preset = "koul-compliant"\n\n' + found.toml(), encoding="utf-8")
@@ -328,4 +323,4 @@ def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: P
 )
 def test_an_impossible_tuning_is_refused(name: str, changes: Any, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        tune_estimator(name, hit(), **changes)
+        tuning.tune_estimator(name, hit(), **changes)

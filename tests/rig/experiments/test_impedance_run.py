@@ -24,14 +24,7 @@ from rig.core.sample import Phase
 from rig.experiments.hits._on_device import OnDevice
 from rig.experiments.mapping import impedance as measuring
 from rig.experiments.mapping.impedance import Judging, measure_impedance, measure_on_device, write_results
-from rig.experiments.trials.excitation_run import (
-    ExcitedRig,
-    excited_law,
-    late_ticks,
-    ramp_s,
-    record_of,
-    seen_at_ticks,
-)
+from rig.experiments.trials import excitation_run
 from rig.experiments.trials.judgement import experiment_of
 from rig.experiments.trials.plan import make_plan
 from rig.experiments.trials.replay import replay
@@ -81,7 +74,7 @@ def off(measured: Any, exact: Any) -> Any:
 def test_the_measured_impedance_is_the_closed_form(scheme: str, walls: list[tuple[float, ...]]) -> None:
     """Within 0.3 % and 0.1° up to 400 Hz; the closed form includes wall, hold, estimator and sampling images."""
     x = linear_rig(scheme)
-    bench = ExcitedRig(x)
+    bench = excitation_run.ExcitedRig(x)
     for wall in walls:
         run = bench.excite(*wall)
         measured = periodic([run.record])
@@ -94,7 +87,7 @@ def test_the_measured_impedance_is_the_closed_form(scheme: str, walls: list[tupl
 @pytest.mark.parametrize("wall", [(0.0, 0.0), (20e3, 60.0)])
 def test_a_position_seen_at_the_ticks_alone_has_the_images_of_sampling(wall: tuple[float, float]) -> None:
     x = linear_rig("uniform:1k,estimator=fdm")
-    measured = periodic([ExcitedRig(x, acquisition_hz=1e3).excite(*wall).record])
+    measured = periodic([excitation_run.ExcitedRig(x, acquisition_hz=1e3).excite(*wall).record])
     magnitude, phase = off(measured.z, rendered_impedance(x, *wall, measured.lines_hz, seen="samples"))
     assert magnitude < 0.1
     assert phase < 0.05
@@ -117,7 +110,7 @@ def test_the_closed_form_holds_with_lag_delay_and_two_masses_on_both_sides(delay
     x = config.override(config.experiment_from_mapping(mapping, "test"), fine)
     for wall in ((0.0, 0.0), (150.0, 0.05)):
         for signal, seen in (("count", "sensed"), ("truth", "handle")):
-            measured = periodic([ExcitedRig(x, signal=signal).excite(*wall).record])
+            measured = periodic([excitation_run.ExcitedRig(x, signal=signal).excite(*wall).record])
             magnitude, phase = off(measured.z, rendered_impedance(x, *wall, measured.lines_hz, seen=seen))
             assert magnitude < 0.3
             assert phase < 0.1
@@ -134,7 +127,7 @@ def test_the_fit_of_a_voltage_driven_rig_is_its_own_damping_and_mass(channel: st
         "wall.stiffness": 0.0, "wall.damping": 0.0,
     }  # fmt: skip
     x = config.override(presets.load("koul-rigid"), fine)
-    bench = ExcitedRig(x)
+    bench = excitation_run.ExcitedRig(x)
     free = measuring.conclude(x, [bench.excite(0.0, 0.0)])
     assert free.fitted is not None
     assert free.fitted.values["damping"] == pytest.approx(3e-3, rel=0.01)
@@ -152,12 +145,12 @@ def test_on_a_rigid_rig_the_own_motor_measures_as_a_second_one(wall: tuple[float
     """Each result equals its own closed form; they differ by under 0.4 %, from the sampling images of the hold."""
     scheme = "fdm" if any(wall) else "fdm-butterworth,cutoff_hz=100"
     x = linear_rig(f"uniform:1k,estimator={scheme}", **{"excitation.channel": "motor"})
-    own = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(*wall).record])
+    own = periodic([excitation_run.ExcitedRig(x, acquisition_hz=1e6).excite(*wall).record])
     magnitude, phase = off(own.z, rendered_impedance(x, *wall, own.lines_hz, channel="motor"))
     assert magnitude < 0.1
     assert phase < 0.05
     second = config.override(x, {"excitation.channel": "external"})
-    other = periodic([ExcitedRig(second).excite(*wall).record])
+    other = periodic([excitation_run.ExcitedRig(second).excite(*wall).record])
     assert off(own.z, other.z)[0] < agree
 
 
@@ -165,7 +158,7 @@ def test_lag_and_delay_of_the_own_motor_are_taken_out() -> None:
     """The force F is that on the mass, so a bare rig gives m·s + b whatever lag lies between command and effort."""
     late = {"rig.amplifier.lag_s": 2e-4, "rig.simulation.computation_delay_ticks": 2}
     x = linear_rig("uniform:1k,estimator=fdm", **late, **{"excitation.channel": "motor"})
-    measured = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(0.0, 0.0).record])
+    measured = periodic([excitation_run.ExcitedRig(x, acquisition_hz=1e6).excite(0.0, 0.0).record])
     magnitude, phase = off(measured.z, bare(x, measured.lines_hz))
     assert magnitude < 0.1
     assert phase < 0.05
@@ -176,7 +169,7 @@ def test_samples_at_the_ticks_show_a_free_mass_too_little_motion() -> None:
     x = linear_rig("uniform:1k,estimator=fdm", **{"rig.mechanics.motor_damping": 0.0})
     f = np.array([1.0, 100.0, 250.0, 400.0])
     half = np.pi * f * 1e-3
-    found = seen_at_ticks(config.rig_model(x), 1e-3, f)
+    found = excitation_run.seen_at_ticks(config.rig_model(x), 1e-3, f)
     assert found == pytest.approx(np.cos(half) / np.sinc(f * 1e-3) ** 3, rel=1e-6)
 
 
@@ -263,9 +256,11 @@ def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: A
     for number, path in enumerate(result.recordings):
         rows = open_recording(path).rows
         rows = rows[rows["phase"] == Phase.TRIAL]
-        bench = ExcitedRig(x, acquisition_hz=1000.0)
+        bench = excitation_run.ExcitedRig(x, acquisition_hz=1000.0)
         wall = asdict(replace(excited.wall, stiffness=10e3, damping=10.0))
-        fresh = replace(bench._template.fresh(wall), law=excited_law(excited, number).prepare(wall))
+        fresh = replace(
+            bench._template.fresh(wall), law=excitation_run.excited_law(excited, number).prepare(wall)
+        )
         excited_plant = devices.excited_simulation()(model, 1e-3, 1000.0, len(rows))
         run = excited_plant.excite(fresh, 0.0, np.zeros(1), 0.0, len(rows))
         assert (rows["count"] == run.counts).all()
@@ -290,7 +285,7 @@ def test_over_the_byte_link_the_impedance_is_that_of_the_run_without_bytes(on_de
 def test_a_recording_of_it_is_replayed_and_measured_again(on_device: Any) -> None:
     _, result = on_device
     recording = open_recording(result.recordings[0])
-    record = record_of(recording, experiment_of(recording))
+    record = excitation_run.record_of(recording, experiment_of(recording))
     assert record.periods == 2
     assert record.effort_hold_s == 1e-3
     again = rig.read_impedance(map(str, result.recordings))
@@ -301,7 +296,7 @@ def test_a_recording_of_it_is_replayed_and_measured_again(on_device: Any) -> Non
     assert not np.any(replay(recording).rows["effort_sent"] != recording.rows["effort_sent"])
     broken = replace(recording, rows=recording.rows[:-500])
     with pytest.raises(RecordingError, match="incomplete"):
-        record_of(broken, experiment_of(broken))
+        excitation_run.record_of(broken, experiment_of(broken))
 
 
 def test_results_of_other_bands_are_not_drawn_together(on_device: Any) -> None:
@@ -331,14 +326,14 @@ def test_a_trial_where_nothing_excites_has_no_record(on_device: Any) -> None:
     header = json.loads(json.dumps(recording.header))
     header["initial_state"]["law"]["name"] = "spring-damper"
     with pytest.raises(RecordingError, match="contains no excitation"):
-        record_of(replace(recording, header=header), experiment_of(recording))
+        excitation_run.record_of(replace(recording, header=header), experiment_of(recording))
 
 
 def test_the_delay_between_command_and_current_is_read_off_the_recording() -> None:
     sent = np.random.default_rng(1).integers(-99, 99, 500)
     for late in range(4):
         applied = np.concatenate([np.zeros(1 + late, np.int64), sent])[:500]
-        assert late_ticks(sent, applied) == late
+        assert excitation_run.late_ticks(sent, applied) == late
 
 
 def test_on_a_device_the_wall_that_throws_the_handle_out_is_a_result_too(tmp_path: Path) -> None:
@@ -358,7 +353,7 @@ def test_a_realisation_with_lost_samples_is_measured_again_and_both_recordings_s
     def holed(recording: Any, experiment: Any) -> Any:
         for failure in failures:
             raise failure
-        return record_of(recording, experiment)
+        return excitation_run.record_of(recording, experiment)
 
     monkeypatch.setattr(measuring, "record_of", holed)
     (result,) = measured(tmp_path, (10e3, 10.0))
@@ -407,7 +402,7 @@ def test_the_plan_predicts_peaks_by_the_closed_form() -> None:
     assert plan.steps[2].duration_s == 6.0
     checks = checks_of(x)
     still = config.override(x, {"rig.mechanics.motor_coulomb": 0.0, "excitation.rms": 2.0})
-    bench = ExcitedRig(still, signal="truth")
+    bench = excitation_run.ExcitedRig(still, signal="truth")
     peak = max(np.abs(bench.excite(10e3, 10.0, n).record.position).max() for n in range(4))
     assert float(checks["peak position"].text.split()[0]) == pytest.approx(peak, rel=0.02)
 
@@ -496,5 +491,5 @@ def test_an_excited_run_starts_at_the_wall_without_a_push_and_lasts_as_long_as_i
     assert config.motor_push(x) == 0.0
     assert config.push_at_rest(x) == 0.0
     assert config.experiment_from_mapping(config.as_mapping(x), "again") == x
-    assert ramp_s(x) == 0.5
+    assert excitation_run.ramp_s(x) == 0.5
     assert config.rig_model(x).operator is None

@@ -16,18 +16,7 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
 from rig.control.law import Law
-from rig.core.errors import (
-    ConfigError,
-    DeviceFaultError,
-    DeviceRefusedError,
-    LawError,
-    LinkLostError,
-    PlanError,
-    RecordingError,
-    RigError,
-    StoppedError,
-    UnpluggedError,
-)
+from rig.core import errors
 from rig.core.sample import ROW, Phase
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FaultReport, FramedDevice
@@ -89,7 +78,7 @@ def judged_while_interrupted(recording: Any) -> Any:
 
 def test_a_device_that_does_not_arm_leaves_no_recording(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    with pytest.raises(DeviceRefusedError, match="verified"):
+    with pytest.raises(errors.DeviceRefusedError, match="verified"):
         bench.run(verified=False)
     assert files(tmp_path) == []
     assert bench.at_rest()
@@ -98,11 +87,11 @@ def test_a_device_that_does_not_arm_leaves_no_recording(tmp_path: Path) -> None:
 
 def test_a_recording_that_cannot_be_made_is_refused_before_arming(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "nowhere")
-    with pytest.raises(RecordingError, match="nowhere"):
+    with pytest.raises(errors.RecordingError, match="nowhere"):
         bench.run()
     bench = Bench(tmp_path)
     (tmp_path / "trial.rigcap").write_bytes(b"mine")
-    with pytest.raises(RecordingError, match="exists"):
+    with pytest.raises(errors.RecordingError, match="exists"):
         bench.run()
     assert (tmp_path / "trial.rigcap").read_bytes() == b"mine"
     assert bench.simulated.connection.state is State.CONFIGURED
@@ -165,12 +154,12 @@ def frames_until_armed(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.mark.parametrize(
     ("faults", "options", "error", "reason"),
     [
-        (None, {"law": RAISING}, LawError, "law_raised"),
-        (Faults(device=(DeviceFault(40, Fault.ENCODER),)), {}, DeviceFaultError, "device_fault"),
-        (Faults(device=(DeviceFault(0, Fault.ENCODER),)), {}, DeviceFaultError, "device_fault"),
-        ((FaultKind.SILENCE, 40), {}, LinkLostError, "link_silent"),
-        ((FaultKind.SILENCE, 0), {}, LinkLostError, "link_silent"),
-        ((FaultKind.UNPLUG, 40), {}, LinkLostError, "link_closed"),
+        (None, {"law": RAISING}, errors.LawError, "law_raised"),
+        (Faults(device=(DeviceFault(40, Fault.ENCODER),)), {}, errors.DeviceFaultError, "device_fault"),
+        (Faults(device=(DeviceFault(0, Fault.ENCODER),)), {}, errors.DeviceFaultError, "device_fault"),
+        ((FaultKind.SILENCE, 40), {}, errors.LinkLostError, "link_silent"),
+        ((FaultKind.SILENCE, 0), {}, errors.LinkLostError, "link_silent"),
+        ((FaultKind.UNPLUG, 40), {}, errors.LinkLostError, "link_closed"),
     ],
     ids=["law", "fault", "fault at once", "silence", "silence before the first sample", "unplug"],
 )
@@ -194,22 +183,22 @@ def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
     assert bench.simulated.current == 0
     bench.link.elapse(1.0)  # a device that never got a command stays armed for so long
     assert bench.at_rest()
-    if error is not LinkLostError:
+    if error is not errors.LinkLostError:
         assert bench.run(name="second").reason == EndReason.FINISHED
 
 
 def test_the_error_of_a_run_outlasts_that_of_sealing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any, **__: Any) -> None:
-        raise RecordingError("no space left", remedy="free some space")
+        raise errors.RecordingError("no space left", remedy="free some space")
 
     monkeypatch.setattr(trials, "seal", full)
     bench = Bench(tmp_path, Faults(device=(DeviceFault(40, Fault.ENCODER),)))
-    with pytest.raises(DeviceFaultError) as caught:
+    with pytest.raises(errors.DeviceFaultError) as caught:
         bench.run(name="faulty")
     assert caught.value.recording == tmp_path / "faulty.rigcap"
     assert "no space left" in "".join(caught.value.__notes__)
     assert open_recording(caught.value.recording).complete
-    with pytest.raises(RecordingError, match="no space"):
+    with pytest.raises(errors.RecordingError, match="no space"):
         bench.run(name="fine")
 
 
@@ -217,17 +206,17 @@ def test_the_error_of_an_early_end_has_the_messages_of_the_link(tmp_path: Path) 
     """A problem of the link is often the reason for the early end."""
     bench = Bench(tmp_path)
     bench.link.messages = ["the port waits 16 ms. To fix it: ..."]
-    with pytest.raises(LawError) as caught:
+    with pytest.raises(errors.LawError) as caught:
         bench.run(law=RAISING)
     assert caught.value.messages == tuple(bench.link.messages)
 
 
 def test_a_judge_that_fails_leaves_the_capture(tmp_path: Path) -> None:
     def wrong(recording: Any) -> None:
-        raise ConfigError("cannot be judged")
+        raise errors.ConfigError("cannot be judged")
 
     bench = Bench(tmp_path)
-    with pytest.raises(ConfigError):
+    with pytest.raises(errors.ConfigError):
         bench.run(judge=wrong)
     assert open_recording(tmp_path / "trial.rigcap").complete
     assert bench.at_rest()
@@ -256,10 +245,10 @@ def test_a_late_error_of_the_progress_is_not_lost(tmp_path: Path, monkeypatch: p
 
     def broken(ticks: Any, phase: Any) -> None:
         if ticks:
-            raise RigError("the console broke")
+            raise errors.RigError("the console broke")
 
     monkeypatch.setattr(LoopThread, "wait", late)
-    with pytest.raises(RigError, match="the console broke") as caught:
+    with pytest.raises(errors.RigError, match="the console broke") as caught:
         bench.run(progress=broken)
     trailer = open_recording(caught.value.recording).trailer
     assert trailer["reason"] == "finished"
@@ -296,7 +285,7 @@ def assert_stopped(bench: Any, caught: Any) -> None:
 @pytest.mark.signals
 def test_ctrl_c_however_often_leaves_a_whole_recording(numbers: Any, tmp_path: Path, handlers: None) -> None:
     bench = Bench(tmp_path)
-    with pytest.raises(StoppedError) as caught:
+    with pytest.raises(errors.StoppedError) as caught:
         bench.run(LONG, progress=interrupting(numbers))
     assert_stopped(bench, caught)
     assert f"stopped by {numbers[-1].name}; " in str(caught.value)
@@ -332,7 +321,7 @@ def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(
         return original(self)
 
     monkeypatch.setattr(LoopThread, place, impatient)
-    with pytest.raises(StoppedError) as caught:
+    with pytest.raises(errors.StoppedError) as caught:
         bench.run(LONG, progress=interrupting([signal.SIGINT]))
     assert_stopped(bench, caught)
 
@@ -344,7 +333,7 @@ def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(
 def test_ctrl_c_in_sealing_is_not_lost(options: Any, reason: str, tmp_path: Path, handlers: None) -> None:
     """A Z-width map continues with the next wall after a guard stop, but not after Ctrl-C."""
     bench = Bench(tmp_path)
-    with pytest.raises(StoppedError) as caught:
+    with pytest.raises(errors.StoppedError) as caught:
         bench.run(judge=judged_while_interrupted, **options)
     assert caught.value.signal == signal.SIGINT
     recording = open_recording(caught.value.recording)
@@ -365,7 +354,7 @@ def test_ctrl_c_while_arming_moves_nothing(
         return original()
 
     monkeypatch.setattr(bench.device, "arm", interrupted)
-    with pytest.raises(StoppedError) as caught:
+    with pytest.raises(errors.StoppedError) as caught:
         bench.run(LONG)
     assert_stopped(bench, caught)
     assert len(open_recording(caught.value.recording)) == 0
@@ -385,10 +374,10 @@ def test_every_ending_is_an_error_with_words_and_a_remedy(reason: Any) -> None:
         error = error_of(end, url, known, rows)
         assert isinstance(error, ENDINGS[reason][0])
         # EIO on a terminal: the cable was pulled.
-        assert (type(error) is UnpluggedError) == (reason == EndReason.LINK_CLOSED)
+        assert (type(error) is errors.UnpluggedError) == (reason == EndReason.LINK_CLOSED)
         assert error.message
-        assert error.remedy or issubclass(type(error), StoppedError)
-        if isinstance(error, LinkLostError):
+        assert error.remedy or issubclass(type(error), errors.StoppedError)
+        if isinstance(error, errors.LinkLostError):
             assert error.statistics == counters
             assert len(error.rows) == 3
     text = str(error_of(end, url, fault, rows))
@@ -413,7 +402,7 @@ def test_a_run_that_the_device_ends_without_a_fault_is_an_error_with_a_remedy() 
 
 def test_a_device_that_restarts_in_mid_run_is_not_only_silent(tmp_path: Path) -> None:
     faults = Faults(device=(Happening(tick=300, act=lambda device: device.reset()),))
-    with pytest.raises(DeviceFaultError, match="restarted during the run") as caught:
+    with pytest.raises(errors.DeviceFaultError, match="restarted during the run") as caught:
         Bench(tmp_path, faults).run(LONG)
     assert caught.value.end.reason == EndReason.DEVICE_RESTARTED
     assert open_recording(caught.value.recording).trailer["reason"] == "device_restarted"
@@ -427,9 +416,9 @@ def request_hit(directory: Any, **options: Any) -> Any:
 
 
 def test_a_hit_beyond_a_limit_is_refused_before_a_directory_is_made(tmp_path: Path) -> None:
-    with pytest.raises(PlanError, match="peak penetration"):
+    with pytest.raises(errors.PlanError, match="peak penetration"):
         list(hit(request_hit(tmp_path, changes={"rig.limits.position_maximum": 0.0001}), admit))
-    with pytest.raises(PlanError, match="device rate"):
+    with pytest.raises(errors.PlanError, match="device rate"):
         list(hit(request_hit(tmp_path, url="sim://?position_rate_maximum=500&position_rate_default=400", changes={
             "rig.limits.slew": 1e5}), admit))  # fmt: skip
     assert files(tmp_path) == []
@@ -447,13 +436,13 @@ def test_a_consumer_that_stops_early_closes_it(tmp_path: Path, monkeypatch: pyte
     results = hit(request_hit(tmp_path, changes={"trial.repeats": 5}), admit)
     next(results)
     results.close()
-    with pytest.raises(LinkLostError):
+    with pytest.raises(errors.LinkLostError):
         opened[0].link.write(b"x")
     assert len(files(tmp_path / "recordings")) == 1
 
 
 def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:
-    with pytest.raises(ConfigError, match="is not verified") as caught:
+    with pytest.raises(errors.ConfigError, match="is not verified") as caught:
         list(hit(request_hit(tmp_path), admit))
     assert "`verified`" in caught.value.remedy
     assert files(tmp_path) == []

@@ -18,14 +18,8 @@ from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.experiments.mapping import _maps as maps
+from rig.experiments.mapping import _ranges as ranges
 from rig.experiments.mapping._maps import zwidth
-from rig.experiments.mapping._ranges import (
-    PAPERS_ESTIMATORS,
-    default_grid,
-    default_schemes,
-    frequency_plan,
-    linear_curves,
-)
 from rig.experiments.mapping._searches import connected, trace_grid
 from rig.experiments.mapping.table_one import PAPER, FrequencyWidth, Spread, table_one
 from rig.experiments.mapping.zwidth_frequency import TOGETHER, FrequencyMap
@@ -45,7 +39,7 @@ FDM, FILTERED = "uniform:1k,estimator=fdm", "uniform:1k,estimator=fdm-butterwort
 
 def plan(experiment: Any, schemes: Any, stiffnesses: Any, dampings: Any, **others: Any) -> Any:
     parsed = [Scheme.parse(text) for text in schemes]
-    return frequency_plan(experiment, parsed, stiffnesses=stiffnesses, dampings=dampings, **others)
+    return ranges.frequency_plan(experiment, parsed, stiffnesses=stiffnesses, dampings=dampings, **others)
 
 
 # ---------------------------------------------------------------------- closed forms on a linear rig
@@ -55,7 +49,7 @@ def test_with_damping_the_edge_is_that_of_the_closed_form() -> None:
     """At B = 40 and 80 an unfiltered difference is passive to some 32 kN/m up to 250 Hz, and stable far beyond."""
     asked = plan(LINEAR, [FDM], np.arange(26e3, 40e3, 2e3), [40.0, 80.0])
     found = zwidth(asked)
-    _, stable, passive = linear_curves(asked, 2)[0]
+    _, stable, passive = ranges.linear_curves(asked, 2)[0]
     edges = connected(found.passive[0, -1]).sum(axis=1)
     for edge, exact in zip(edges, passive, strict=True):
         assert abs(asked.stiffnesses[edge - 1] - exact) <= 2000.0
@@ -68,13 +62,13 @@ def test_with_damping_the_edge_is_that_of_the_closed_form() -> None:
 @pytest.fixture(scope="module")
 def map_with_friction() -> Any:
     """Map the rig with its friction and 1 µm resolution: four estimators on a coarse grid."""
-    schemes = [scheme.text for scheme in default_schemes(CHAWDA)]
+    schemes = [scheme.text for scheme in ranges.default_schemes(CHAWDA)]
     return zwidth(plan(SHORT, schemes, [5e3, 40e3, 60e3, 400e3], [60.0, 240.0]))
 
 
 def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(map_with_friction: Any) -> None:
     """Friction damps: a difference is passive at 40 kN/m, where linear theory ends at 32; sticking adds stiffness."""
-    _, _, passive = linear_curves(map_with_friction.plan, 2)[0]
+    _, _, passive = ranges.linear_curves(map_with_friction.plan, 2)[0]
     assert max(passive) < 35e3
     assert map_with_friction.passive[0, -1, 1, :3].all()
     soft = next(row for row in map_with_friction.columns[0] if row["realisation"] == TOGETHER)
@@ -84,7 +78,7 @@ def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(map_with
 
 def test_table_one_stands_beside_the_papers(map_with_friction: Any) -> None:
     table = table_one(map_with_friction)
-    assert [row.estimator for row in table.rows] == list(PAPERS_ESTIMATORS)
+    assert [row.estimator for row in table.rows] == list(ranges.PAPERS_ESTIMATORS)
     assert [len(row.tuned) for row in table.rows] == [1, 0, 1, 2]
     first = table.rows[0]
     assert first.paper == PAPER["fdm-butterworth"]
@@ -120,10 +114,10 @@ def test_dual_rate_goes_through_the_same_plan() -> None:
     assert np.isfinite(found.fidelity).all()
     assert table_one(found).rows[0].paper is None
     for preset in ("koul-rigid", "koul-compliant"):
-        k, b = default_grid(presets.load(preset), asked.schemes)
+        k, b = ranges.default_grid(presets.load(preset), asked.schemes)
         assert (len(k), len(b), b[0]) == (60, 16, 0.0)
         assert k[0] == pytest.approx(k[1] - k[0])
-    assert [s.estimator for s in default_schemes(koul)] == list(PAPERS_ESTIMATORS)
+    assert [s.estimator for s in ranges.default_schemes(koul)] == list(ranges.PAPERS_ESTIMATORS)
 
 
 # ---------------------------------------------------------------------- the same bytes, files, refusals
@@ -170,7 +164,7 @@ def test_an_excitation_beyond_the_limits_is_refused_before_anything_runs() -> No
 
 
 def test_pictures_of_any_number_of_schemes(map_with_friction: Any) -> None:
-    check_axes(frequency_figure(map_with_friction, theory=linear_curves(map_with_friction.plan, 2)))
+    check_axes(frequency_figure(map_with_friction, theory=ranges.linear_curves(map_with_friction.plan, 2)))
     shape = (1, 2, 1, 2)
     asked = plan(SHORT, [FDM], [1e3, 2e3], [0.0])
     nothing = FrequencyMap(asked, [], np.zeros(shape, bool), np.full(shape, math.nan))
