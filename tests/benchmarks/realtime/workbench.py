@@ -159,14 +159,6 @@ def command_frame(sequence: int) -> bytes:
     return encode_frame(pack(command, session=SESSION, sequence=sequence))
 
 
-def loop_settings(rate: int, **changes: Any) -> LoopSettings:
-    """Return the default loop settings at this rate (Hz), with changes."""
-    return LoopSettings(
-        period_ns=1_000_000_000 // rate, session=SESSION, lifetime_us=5000, lost_after_ns=2_000_000_000,
-        device_tick_ps=62_500, current_quantum_a=CURRENT_QUANTUM_A, wait_for_room=False, **changes,
-    )  # fmt: skip
-
-
 def descriptor_link(descriptor: int) -> DescriptorLink:
     return DescriptorLink(DeviceUrl.of("unix", "/bench"), descriptor)
 
@@ -210,8 +202,11 @@ def running_loop(
     It must have run without an error then, and stopped on request.
     """
     with obtained(Host(realtime="try", priority=PRIORITY, cpu=cpu)) as realtime, stop_on_signals() as signals:
-        requests = {"stop_requests": address(), "stop_requests_before": signals.series.since}
-        given = loop_settings(rate, **requests, **settings)
+        given = LoopSettings(
+            period_ns=1_000_000_000 // rate, session=SESSION, lifetime_us=5000, lost_after_ns=2_000_000_000,
+            device_tick_ps=62_500, current_quantum_a=CURRENT_QUANTUM_A, wait_for_room=False,
+            stop_requests=address(), stop_requests_before=signals.series.since, **settings,
+        )  # fmt: skip
         loop = LoopThread(link, pushing_for_ever(rate), given, ring, realtime=realtime)
         loop.start()
         try:

@@ -175,9 +175,7 @@ def test_the_response_decides_whether_the_effort_is_used(monkeypatch: pytest.Mon
         linear.realise("gated", {}, 5e-4, RESOLUTION)
 
 
-def moving_chord(
-    count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
-) -> Any:
+def moving_chord(count: Any, age: Any, elapsed: Any, state_f: Any, state_i: Any, parameters: Any) -> Any:
     """Return the slope over the last twelve samples, a finite impulse response of order 12."""
     if state_i[1] == 0:
         state_i[1], state_i[2] = 1, count

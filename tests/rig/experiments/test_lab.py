@@ -14,7 +14,7 @@ import pytest
 import rig
 from rig import config
 from rig.core import plugins
-from rig.core.errors import ConfigError, PlanError, RecordingError
+from rig.core.errors import ConfigError, RecordingError
 from rig.core.sample import Phase
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest
@@ -168,16 +168,6 @@ def test_a_name_in_use_and_a_value_that_is_no_part_are_refused() -> None:
 def test_a_plan_behind_a_link_is_judged_with_its_delay(link: dict[str, Any]) -> None:
     experiment = rig.load("koul-compliant")
     bare, planned = rig.plan(experiment), rig.plan(experiment, **link)
-    assert "delay" not in {check.name for check in bare.checks}
+    assert (bare.ok, "delay" in {check.name for check in bare.checks}) == (True, False)
     judged = delay_checks(config.with_realtime(experiment), link.get("round_trip_s"))
     assert [check for check in planned.checks if check in judged] == judged
-
-
-def test_a_plan_has_what_is_refused_and_a_hit_raises_it(tmp_path: Path) -> None:
-    slow = {"rig.limits.speed": 0.5}
-    planned = rig.plan("koul-compliant", changes=slow)
-    assert not planned.ok
-    assert "impact velocity: up to" in repr(planned)
-    with pytest.raises(PlanError, match="impact velocity"):
-        rig.hit("koul-compliant", changes=slow, output=tmp_path / "none")
-    assert not list(tmp_path.iterdir())

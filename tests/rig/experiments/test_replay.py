@@ -131,7 +131,6 @@ def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
 
 NAN_LAW = Law("nan", "for this test", gives_nan, 2, lambda wall: [])
 RAISING_LAW = Law("raising", "for this test", raises, 2, lambda wall: [15.0])
-ALWAYS_RAISING_LAW = Law("raising", "for this test", raises, 2, lambda wall: [-1.0])
 
 
 @pytest.mark.parametrize("law", [NAN_LAW, RAISING_LAW])
@@ -144,7 +143,7 @@ def test_a_run_that_its_law_ended_replays_exactly(law: Law, tmp_path: Path) -> N
 
 def test_a_law_that_raises_in_a_replay_is_a_law_error(finished: Any) -> None:
     with pytest.raises(LawError, match="too deep for me"):
-        replay(finished, {"wall.stiffness": 10.0}, law=ALWAYS_RAISING_LAW)
+        replay(finished, {"wall.stiffness": 10.0}, law=RAISING_LAW)
 
 
 # ---------------------------------------------------------------------- recordings that are not whole

@@ -24,20 +24,12 @@ DUAL, UNIFORM = Scheme.parse("dual:20k/2k"), Scheme.parse("uniform:20k")
 # No friction, 4000 times as many counts, currents as fine as the wire carries: the rest is linear. The hand
 # presses all along and neither trembles nor swells, and the trial is long.
 LINEAR = {
-    "rig.mechanics.motor_coulomb": 0.0,
-    "rig.mechanics.link_coulomb": 0.0,
-    "rig.encoder.counts_per_revolution": 4_000_000,
-    "homing.tolerance_counts": 4000.0,
-    "rig.amplifier.current_quantum_a": 2e-4,
-    "rig.limits.slew": 1e7,
-    "trial.kind": "human",
+    "rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.link_coulomb": 0.0, "homing.tolerance_counts": 4000.0,
+    "rig.encoder.counts_per_revolution": 4_000_000, "rig.amplifier.current_quantum_a": 2e-4, "rig.limits.slew": 1e7,
     "rig.limits.human": False,  # linear theory has no limit of effort
-    "operator.grip": "normal",
-    "operator.tremor": 0.0,
-    "operator.press_modulation": 0.0,
-    "trial.duration_s": 3.0,
-    "verdict.tail_s": 0.4,
-}
+    "trial.kind": "human", "operator.grip": "normal", "operator.tremor": 0.0, "operator.press_modulation": 0.0,
+    "trial.duration_s": 3.0, "verdict.tail_s": 0.4,
+}  # fmt: skip
 
 
 def plan_map(**changes: Any) -> Any:

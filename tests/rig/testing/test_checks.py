@@ -18,7 +18,7 @@ from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, LAW_SIGNATURE
 from rig.testing import check_estimator, check_law
 
-Floats, Ints = NDArray[np.float64], NDArray[np.int64]
+Floats = NDArray[np.float64]
 compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled here")
 
 
@@ -127,16 +127,12 @@ def test_an_argument_allows_what_a_law_does_on_purpose() -> None:
     check_law(magnet)  # declares it itself
 
 
-def leaks(
-    count: int, age: float, elapsed: int, effort: float, floats: Floats, ints: Ints, numbers: Floats
-) -> float:
+def leaks(count: Any, age: Any, elapsed: Any, effort: Any, floats: Any, ints: Any, numbers: Any) -> float:
     found = np.full(2, 0.0)
     return float(found[0])
 
 
-def overflows(
-    count: int, age: float, elapsed: int, effort: float, floats: Floats, ints: Ints, numbers: Floats
-) -> float:
+def overflows(count: Any, age: Any, elapsed: Any, effort: Any, floats: Any, ints: Any, numbers: Any) -> float:
     ints[3] = count
     return 0.0
 

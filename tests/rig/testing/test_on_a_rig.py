@@ -30,7 +30,6 @@ from tests.conformance.tiers import first_by_default
 
 URL = "serial:///dev/ttyRIG"
 TYPED = ("--rig-url", URL, "--rig-verified", "-n0")
-AWAY = 0.02  # of the handle from position zero as its count shows it (rad)
 
 
 class Bench:
