@@ -2,7 +2,6 @@
 
     python -m tests.benchmarks.soak --minutes 10                   a simulated rig behind a pseudo-terminal
     python -m tests.benchmarks.soak --busy                         beside a busy interpreter and processor
-    python -m tests.benchmarks.soak --busy --without-rights        the same as an ordinary user
     python -m tests.benchmarks.soak --rate 4000                    on an idle machine
     python -m tests.benchmarks.soak --url serial:///dev/ttyACM0 --verified
 
@@ -15,7 +14,6 @@ import contextlib
 import json
 import math
 import os
-import resource
 import sys
 import tempfile
 import time
@@ -34,12 +32,10 @@ from rig.loop._run import COUNTERS
 from rig.realtime import control_words
 from rig.realtime._anonymous_memory import LINK
 from rig.realtime.ring import Ring
-from rig.realtime.scheduling._rights import CAP_SYS_NICE, Rights
 from tests.benchmarks.realtime import workbench
 
 PRIORITY, LOOK_S = 80, 0.5
 BEFORE_THE_END_S = 0.3
-GOAL_WITHOUT_RIGHTS = 1e-3  # of the samples; with them, none
 MINUTE_S = 60.0
 COLUMNS = (
     "minute", "ticks", "lost", "skipped", "overruns", "late", "stale", "bad", "dropped",
@@ -57,7 +53,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--verified", action="store_true", help="vouch for a real rig, as rig hit --verified does"
     )
-    parser.add_argument("--without-rights", action="store_true", help="give up the right to real time first")
     parser.add_argument(
         "--busy", action="store_true", help="a GIL hog, a garbage maker and a CPU hog beside it"
     )
@@ -196,36 +191,12 @@ def attach_ring() -> Any:
     raise LookupError("no ring here")
 
 
-def give_up_rights() -> None:
-    """Restart this program without the rights to real-time scheduling and locked memory."""
-    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
-    resource.setrlimit(resource.RLIMIT_MEMLOCK, (1 << 16, 1 << 16))
-    if Rights.here().has(CAP_SYS_NICE):
-        setpriv = ("setpriv", "--bounding-set", "-sys_nice,-ipc_lock")
-        os.execvp("setpriv", (*setpriv, sys.executable, *sys.orig_argv[1:]))
-
-
-def compare_to_goal(totals: dict[str, Any]) -> str:
-    """Return a text that compares the lost samples of a device with the permitted share."""
-    granted = Rights.here().may_schedule(PRIORITY)
-    lost, ticks = totals["lost"] + totals["skipped"], totals["ticks"]
-    share = lost / max(1, lost + ticks)
-    return (
-        f"{'with' if granted else 'without'} real-time rights: lost {lost} of {lost + ticks} samples "
-        f"({share:.3%}); goal: {0.0 if granted else GOAL_WITHOUT_RIGHTS:.1%}"
-    )
-
-
 def main() -> int:
     """Run, print, and return exit code 0 if nothing was lost."""
     options = arguments()
-    if options.without_rights:
-        give_up_rights()
     watch = Watch()
     with tempfile.TemporaryDirectory() as name:
         found = device_run(options, Path(name), watch)
-    if watch.totals:
-        print(compare_to_goal(watch.totals))
     print(json.dumps({"asked": vars(options), **found, **watch.totals}, default=str))
     return 0 if found["end"] == "FINISHED" and found.get("rows_lost") == 0 else 1
 

@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[3]
 START_S = 30.0
 
 
-needs_distributed = pytest.mark.skipif(not find_spec("distributed"), reason="distributed is not installed")
+pytestmark = pytest.mark.skipif(not find_spec("distributed"), reason="distributed is not installed")
 
 
 class Cluster:
@@ -147,7 +147,6 @@ def assert_nothing_lost_and_nothing_twice(results: Any, journal: Any, tasks: Any
     assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
 
 
-@needs_distributed
 def test_two_workers_give_the_bits_of_one_process(small_cluster: Any, tmp_path: Path) -> None:
     small_cluster.have(2)
     tasks, seen = sines_of(30), []
@@ -157,7 +156,6 @@ def test_two_workers_give_the_bits_of_one_process(small_cluster: Any, tmp_path: 
     assert [seen[-1].workers, seen[-1].units] == [2, 300]
 
 
-@needs_distributed
 def test_a_task_that_fails_there_is_named_here(small_cluster: Any) -> None:
     small_cluster.have(2)
     tasks = [Task(f"number {i}", sweep_work.raise_as_given, {"number": i}) for i in range(20)]
@@ -169,7 +167,6 @@ def test_a_task_that_fails_there_is_named_here(small_cluster: Any) -> None:
     assert 7 not in list(caught.value.results)
 
 
-@needs_distributed
 def test_another_version_on_workers_is_refused(small_cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     small_cluster.have(2)
     ours = code_version()
@@ -179,7 +176,6 @@ def test_another_version_on_workers_is_refused(small_cluster: Any, monkeypatch: 
     assert f"runs haptic-rig {ours}, this is 9.9.9+0123456789ab" in caught.value.message
 
 
-@needs_distributed
 @pytest.mark.exhaustive("::test_another_version_on_workers_is_refused")
 def test_work_that_the_workers_do_not_have_is_refused(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -193,7 +189,6 @@ def test_work_that_the_workers_do_not_have_is_refused(
 
 
 @pytest.mark.exhaustive("::test_two_workers_give_the_bits_of_one_process")
-@needs_distributed
 def test_a_killed_worker_loses_nothing_and_duplicates_nothing(cluster: Any, tmp_path: Path) -> None:
     cluster.have(2)
     tasks = sines_of(40, wait_s=0.03)
@@ -208,7 +203,6 @@ def test_a_killed_worker_loses_nothing_and_duplicates_nothing(cluster: Any, tmp_
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
 
 
-@needs_distributed
 @pytest.mark.exhaustive("::test_a_task_that_fails_there_is_named_here")
 def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -> None:
     cluster.have(1)
@@ -225,7 +219,6 @@ def test_a_task_that_kills_every_worker_is_named(cluster: Any, tmp_path: Path) -
     assert keys_in(tmp_path / "j") == []
 
 
-@needs_distributed
 @pytest.mark.exhaustive("::test_two_workers_give_the_bits_of_one_process")
 def test_a_sweep_waits_for_workers(cluster: Any, tmp_path: Path) -> None:
     cluster.have(0)
@@ -241,7 +234,6 @@ def test_a_sweep_waits_for_workers(cluster: Any, tmp_path: Path) -> None:
     assert_nothing_lost_and_nothing_twice(results, tmp_path / "j", tasks)
 
 
-@needs_distributed
 def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(small_cluster: Any, tmp_path: Path) -> None:
     small_cluster.have(2)
     address = small_cluster.address
@@ -255,7 +247,6 @@ def test_a_scheduler_that_dies_ends_the_sweep_with_what_is_done(small_cluster: A
     assert 3 <= len(keys_in(tmp_path / "j")) < 200
 
 
-@needs_distributed
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
 def test_without_a_scheduler_the_remedy_starts_one(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clusters, "CONNECT_S", 0.1)

@@ -307,7 +307,7 @@ def test_quick_reproduces_a_paper_in_one_report(
 
 
 @pytest.mark.exhaustive(
-    "tests/extras/papers/test_koul_figures.py::test_few_bits_of_state_take_the_damping_from_a_uniform_wall_alone"
+    "tests/extras/papers/test_koul.py::test_few_bits_of_state_take_the_damping_from_a_uniform_wall_alone"
 )
 def test_figures_7_and_8_of_koul_alone(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -244,14 +244,12 @@ def test_runs_that_do_not_belong_together_are_refused() -> None:
         periodic([])
     with pytest.raises(ConfigError, match="the runs differ in"):
         periodic([run, other])
-    with pytest.raises(ConfigError, match="shape"):
-        replace(run, periods=2)
-    with pytest.raises(ConfigError, match="lines"):
-        replace(run, lines_hz=np.array([1.5]))
-    with pytest.raises(ConfigError, match="lines"):
-        replace(run, lines_hz=np.array([2000.0]))
-    with pytest.raises(ConfigError, match="contains NaN or infinity"):
-        replace(run, position=np.full(4000, np.nan))
+    for message, changes in (
+        ("shape", {"periods": 2}), ("contains NaN or infinity", {"position": np.full(4000, np.nan)}),
+        ("lines", {"lines_hz": np.array([1.5])}), ("lines", {"lines_hz": np.array([2000.0])}),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=message):
+            replace(run, **changes)
     with pytest.raises(ConfigError, match="no excited frequency"):
         periodic([run]).within((30.0, 40.0))
     with pytest.raises(ConfigError, match="overlap"):

@@ -1,4 +1,4 @@
-"""Assertions for a lab's tests: messages name place, time, value and unit, and agree with the simulation's truth."""
+"""Assertions and golden recordings for a lab's tests: messages name place, time, value and unit."""
 
 from dataclasses import replace
 from typing import Any
@@ -8,6 +8,7 @@ import pytest
 
 import rig
 from rig.control.law import Law
+from rig.core.errors import RecordingError
 from rig.core.sample import Phase
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
@@ -21,6 +22,7 @@ from rig.testing import (
     assert_safe,
     assert_stable,
 )
+from rig.testing.golden import difference
 from rig.testing.hits import DeviceAfterwards
 
 QUICK = {"trial.duration_s": 0.5, "homing.settle_s": 0.01}
@@ -38,7 +40,7 @@ def sticky(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
 GIVING = Law("giving", "gives energy", sticky, 0, lambda wall: [])
 
 
-def edited(recording: Recording, row: int, **values: float) -> Recording:
+def edited(recording: Recording, row: int, **values: Any) -> Recording:
     rows = recording.rows.copy()
     for name, value in values.items():
         rows[name][row:] = value
@@ -141,3 +143,48 @@ def test_a_pulled_plug_costs_lifetime_and_ramp(
     assert_safe(hit, within_ms=15.0)
     with pytest.raises(AssertionError, match="it must be zero within 10 ms"):
         assert_safe(hit, within_ms=10.0)
+
+
+# ---------------------------------------------------------------------- golden recordings
+
+
+@pytest.fixture
+def golden(rig_hit: Hits, rig_experiment: Experiments) -> Recording:
+    return rig_hit(rig_experiment.short()).recording
+
+
+def test_two_runs_are_the_same(golden: Recording, rig_hit: Hits, rig_experiment: Experiments) -> None:
+    assert difference(golden, rig_hit(rig_experiment.short()).recording, {}) == ""
+
+
+def test_rounding_in_every_tick_is_no_difference(golden: Recording) -> None:
+    velocity = golden.column("velocity")
+    drift = np.arange(len(velocity)) * 16 * np.spacing(np.abs(velocity).max())
+    assert difference(golden, edited(golden, 0, velocity=velocity + drift), {}) == ""
+    message = difference(golden, edited(golden, 0, velocity=velocity + 100.0 * drift), {})
+    assert message.startswith("differs from the golden recording from row ")
+
+
+def test_one_count_is_a_difference_unless_it_is_tolerated(golden: Recording) -> None:
+    count = golden.column("count").copy()
+    count[20] += 1
+    today = edited(golden, 0, count=count)
+    first, line = difference(golden, today, {}).split("\n")
+    assert first.startswith("differs from the golden recording from row 20 on (20 ms, ")
+    assert line == f"  count: {count[20]} count, was {count[20] - 1} (by 1, allowed 0)"
+    assert difference(golden, today, {"count": 1}) == ""
+    with pytest.raises(RecordingError, match="unknown column 'counts'"):
+        difference(golden, today, {"counts": 1})
+
+
+def test_a_value_that_is_not_finite_is_a_difference_unless_both_have_it(golden: Recording) -> None:
+    torn = golden.column("velocity").copy()
+    torn[5] = np.nan
+    assert "  velocity: nan rad/s, was " in difference(golden, edited(golden, 0, velocity=torn), {})
+    assert difference(edited(golden, 0, velocity=torn), edited(golden, 0, velocity=torn), {}) == ""
+
+
+def test_a_run_that_ends_sooner_is_a_difference(golden: Recording) -> None:
+    shorter = replace(golden, rows=golden.rows[:-3])
+    rows = len(golden)
+    assert difference(golden, shorter, {}) == f"{rows - 3} rows, and {rows} in the golden recording"
