@@ -62,8 +62,6 @@ def bridged_rig(**changed: Any) -> RigModel:
 
 
 class MemoryBus:
-    """A `rig.extras.drives.bus.Bus` with a simulated drive that replies at once."""
-
     place, descriptor, checksum, is_socket, messages = "memory", -1, True, False, ()
 
     def __init__(self, drive: Simulated) -> None:
@@ -90,12 +88,10 @@ def find_moteus(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> Fit
 
 
 def endpoints(firmware: tuple[int, int, int] = (0, 6, 11)) -> odrive.Endpoints:
-    """Return the endpoint numbers of the simulated ODrive."""
     return odrive.Endpoints.of("flat_endpoints.json", SimulatedOdrive.flat_endpoints(firmware))
 
 
 def write_endpoints(place: Path) -> Path:
-    """Write the endpoint numbers in the file format of the manufacturer."""
     place.write_text(json.dumps(SimulatedOdrive.flat_endpoints()), encoding="utf-8")
     return place
 
@@ -103,7 +99,6 @@ def write_endpoints(place: Path) -> Path:
 def find_odrive(
     drive: SimulatedOdrive, model: RigModel, node: int = 0, numbers: odrive.Endpoints | None = None
 ) -> FittedDrive:
-    """Return what a bridge reads from an ODrive before it runs."""
     talk = odrive.OdriveConversation(MemoryBus(drive), node, numbers or endpoints())
     return odrive.fit(odrive.find(talk), model)
 
@@ -284,7 +279,6 @@ class Bridged:
         self._undelivered.clear()
 
     def step(self, end_ns: int) -> None:
-        """Advance to the next event and process it."""
         times = [end_ns, self._events[0][0] if self._events else end_ns, self._next_send_ns(end_ns)]
         if self.alive:
             times.append(-(-self.bridge.due * UNIT_TWICE_NS // 2))
@@ -343,7 +337,6 @@ class Bridged:
         self.strikes = {(way, number): strike for number in range(begin, begin + lines)}
 
     def happen(self, name: str, value: float = 0.0) -> None:
-        """Apply an event of the environment to the drive (its `happen`)."""
         self._from_drive(self.drive.happen(name, value))
 
     # ------------------------------------------------------------------ what is true
@@ -359,13 +352,11 @@ class Bridged:
 
 
 def plain_drive() -> FittedDrive:
-    """Return a fitted drive that was not read from a device."""
     names = {"kind": "moteus", "firmware": "moteus"}
     return FittedDrive(**names, id=1, counts_per_turn=16384.0, transmission=2.0, ranges={}, settings={})
 
 
 def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:
-    """Return a bridge and a host that has armed it."""
     world = world or Bridged()
     host = Host(world)
     host.begin(**values)
@@ -373,7 +364,6 @@ def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:
 
 
 def push(host: Host, ticks: int, current: int = CURRENT) -> None:
-    """Reply to this many STATEs with a current."""
     for _ in range(ticks):
         host.next_state()
         host.command(current)

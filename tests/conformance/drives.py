@@ -27,7 +27,6 @@ Units = Iterable[tuple[int, bytes]]  # bytes with the times of their arrival (ns
 
 
 def drive_rig(**changed: Any) -> RigModel:
-    """Return `rotary_rig` with the 14-bit encoder of a drive."""
     model = rotary_rig(inertia=changed.pop("inertia", INERTIA), **changed)
     encoder = Encoder(counts_per_revolution=4096, ratio=RATIO, sign=model.encoder.sign, offset=0.0)
     return replace(model, encoder=encoder)
@@ -45,7 +44,6 @@ class Moteus:
         self.drive.run(self.drive.ticks + round(seconds * self.drive.rate_hz))
 
     def send(self, data: bytes, identifier: int = 0x8001) -> bytes | None:
-        """Send a frame and return the data of its reply."""
         answers = self.drive.receive(Frame(identifier, data))
         return answers[0].data if answers else None
 
@@ -80,7 +78,6 @@ class Moteus:
         self.torque(0.0, **others)
 
     def console(self, line: str) -> str:
-        """Send a line to the drive's console and return its output."""
         self.send(bytes((0x40, 1, len(line) + 1)) + line.encode() + b"\n", 0x0001)
         text = b""
         while (answer := self.send(bytes((0x42, 1, 60)))) is not None and answer[2]:
@@ -105,11 +102,9 @@ class Odrive:
         return self.drive.run(self.drive.ticks + round(seconds * self.drive.rate_hz))
 
     def send(self, command: CanSimpleCommand, form: str = "", *values: float) -> list[Frame]:
-        """Send a message and return the replies."""
         return self.drive.receive(Frame(command, struct.pack("<" + form, *values)))
 
     def ask(self, command: CanSimpleCommand, form: str) -> tuple[Any, ...]:
-        """Request a message by a remote frame and return its fields."""
         (answer,) = self.drive.receive(Frame(command, b"", remote=True))
         return struct.unpack("<" + form, answer.data)
 
@@ -143,7 +138,6 @@ class Wire:
         return self.now
 
     def read(self, deadline_ns: int) -> bytes:
-        """Wait for the next unit until a deadline; return it, or b""."""
         at, unit = self._units[0] if self._units else (deadline_ns + 1, b"")
         if at > deadline_ns:
             self.now = max(self.now, deadline_ns)
@@ -153,7 +147,6 @@ class Wire:
         return unit
 
     def write(self, frames: bytes) -> None:
-        """Record the frames that the drive sends."""
         self.sent.append((self.now, frames))
 
     def unplug(self) -> None:
@@ -163,7 +156,6 @@ class Wire:
 def served(
     drive: DriveModel, adapter: SimulatedAdapter, units: Units, script: DriveScript, duration_s: float
 ) -> Wire:
-    """Serve a drive on a line in memory for `duration_s`, and return the line."""
     wire = Wire(units)
     Serving(drive, adapter, wire, script, threading.Event(), clock=wire.clock).run(duration_s)
     return wire

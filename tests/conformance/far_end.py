@@ -131,7 +131,6 @@ class Witness:
         self._first_fault = Fault.NONE
 
     def see_tick(self, state: State, fault: Fault) -> None:
-        """Count a tick that has passed, and inject the fault when it is due."""
         self.ticks += 1
         self.running += state is State.RUNNING
         self._first_fault = self._first_fault or fault
@@ -196,7 +195,6 @@ class FaultyPort:
         self._begun = self._gone = False
 
     def read(self, deadline_ns: int) -> bytes:
-        """Read as `DevicePort.read` does, through the faulty line."""
         if self._gone:
             sleep_until(deadline_ns)
             return b""
@@ -226,7 +224,6 @@ class FaultyPort:
             self._port.write(self._passed(frames))
 
     def write_if_free(self, frame: bytes) -> None:
-        """Write as `DevicePort.write_if_free` does, through the faulty line."""
         if self._gone:
             return
         self._port.write_if_free(self._passed(frame))
@@ -252,8 +249,6 @@ class FaultyPort:
 
 
 class PluggedPort:
-    """Plug functions for compiled code that call a `DevicePort`."""
-
     def __init__(self, port: DevicePort, clock: PatientClock) -> None:
         self._port = port
         self._clock = clock
@@ -378,7 +373,6 @@ class FarEnd:
 
     @contextmanager
     def open(self) -> Iterator[FramedDevice]:
-        """Open the device as a host with longer timeouts."""
         with patient_host(), open_device(self.url) as device:
             yield device
 
@@ -390,12 +384,10 @@ class FarEnd:
         os.kill(self.process.pid, signal.SIGCONT)
 
     def kill(self) -> None:
-        """Kill the process (SIGKILL), so that it can send nothing more."""
         self.process.kill()
         self.process.join(WAIT_S)
 
     def wait_for(self, what: Callable[[FarEnd], bool], text: str) -> None:
-        """Wait until the witness satisfies a condition."""
         deadline = time.monotonic() + WAIT_S
         while not what(self):
             assert time.monotonic() < deadline, f"{text}: {self._witness[0]}"
@@ -435,7 +427,6 @@ class HostProcess:
         sender.close()
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal, unless the process has already ended."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.process.pid, number)
 

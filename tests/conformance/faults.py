@@ -60,16 +60,13 @@ class FarEnd(ABC):
         return False
 
     def hold(self, held: bool) -> None:
-        """Press or release the hold-to-run switch."""
         raise NotImplementedError
 
     def parameters(self) -> dict[str, Value]:
-        """Return the parameters that this host configures."""
         times = {"command_lifetime_us": self.lifetime_us, "ramp_us": self.ramp_us}
         return {**RUN_PARAMETERS, "position_rate": self.rate, **times}
 
     def arm(self, **changes: Value) -> m.Ack:
-        """Configure and arm a new session; return the reply."""
         if self.host.connection.state > State.CONFIGURED:
             self.host.disarm(clear_fault=True)
         self.host.identify()
@@ -90,7 +87,6 @@ class FarEnd(ABC):
         return self
 
     def push(self) -> None:
-        """Send commands until there is effort."""
         self.watch(3 * self.send_every + self.late, self.command)
         assert self.effort() != 0.0
 
@@ -295,7 +291,6 @@ def check_stop(far: FarEnd) -> None:
 
 
 def check_disarm(far: FarEnd) -> None:
-    """DISARM sets zero effort at once."""
     far.begin()
     assert far.host.disarm().status == Status.OK
     assert not any(far.watch(5 + far.late)[far.late :])
@@ -358,6 +353,5 @@ def check_fault(make_far_end: MakeFarEnd, name: str) -> None:
 
 
 def check_faults(make_far_end: MakeFarEnd) -> None:
-    """Check all faults of a device, each in its own session."""
     for name in faults_of(make_far_end()):
         check_fault(make_far_end, name)

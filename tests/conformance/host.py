@@ -38,12 +38,10 @@ class Host:
         self._nonce = first_nonce - 1
 
     def nonce(self) -> int:
-        """Return a nonce that this host has not used."""
         self._nonce += 1
         return self._nonce
 
     def send(self, message: Message, session: int | None = None) -> None:
-        """Send a message without waiting for a reply."""
         self.sent = self.connection.send(message, session=session)
         self.link.write(self.sent)
 
@@ -140,7 +138,6 @@ class Host:
         self.send(m.Command(answers, lifetime_us, int(mode), flags, current))
 
     def next_state(self) -> m.State:
-        """Wait for a STATE and return the newest."""
         self.states.clear()
         deadline_ns = self.link.clock.now_ns() + round(ANSWER_S * 1e9)
         while self.link.clock.now_ns() < deadline_ns:

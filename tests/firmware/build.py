@@ -24,7 +24,6 @@ COMPILE_S = 120.0
 
 
 def compiler() -> str:
-    """Return the C compiler; skip the test without one."""
     gcc = shutil.which("gcc")
     if gcc is None:
         pytest.skip("gcc is not installed (package gcc)")
@@ -91,13 +90,11 @@ def kept(key: str, make: Callable[[Path], None]) -> Path:
 
 
 def identity(program: str) -> str:
-    """Return a string that identifies the version of a program."""
     place = Path(program).resolve()
     return f"{place} {place.stat().st_size} {place.stat().st_mtime_ns}"
 
 
 def content(files: Iterable[Path]) -> str:
-    """Return a fingerprint of the paths and contents of files."""
     digest = hashlib.sha256()
     for path in sorted(files):
         digest.update(f"{path}\0".encode() + hashlib.sha256(path.read_bytes()).digest())

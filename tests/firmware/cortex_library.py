@@ -33,7 +33,6 @@ CORES = {name: core for name, core in cortex.CORES.items() if core.cycles_known}
 
 
 def link(core: CortexCore, sources: Sequence[Path], entries: Sequence[str], *more: str) -> Image:
-    """Compile and link sources of the firmware for a core."""
     cross.need_compiler()
     options = [*(f"-I{FIRMWARE / part}" for part in ("core", "law")), *more]
 
@@ -48,15 +47,12 @@ def link(core: CortexCore, sources: Sequence[Path], entries: Sequence[str], *mor
 
 
 class Simulator(cortex.Simulator):
-    """A simulated core with an image in its flash."""
-
     def __post_init__(self) -> None:
         pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")
         super().__post_init__()
 
 
 def build(core: CortexCore, *options: str) -> Image:
-    """Return the image of the core, the law and the host port for a processor."""
     image = link(core, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
     held = [name for name in image.sizes if image.symbols[name] >= RAM]
     assert not held, f"globals: {held}"
@@ -64,8 +60,6 @@ def build(core: CortexCore, *options: str) -> Image:
 
 
 class CortexLibrary:
-    """A device in the instruction-set simulator."""
-
     def __init__(self, image: Image) -> None:
         self.simulator = Simulator(image)
         assert self.host_bytes() <= SETUP - HOST

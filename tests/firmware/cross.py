@@ -37,7 +37,6 @@ def _has_newlib() -> bool:
 
 
 def need_qemu() -> str:
-    """Return the path of the emulator; skip the test without one."""
     path = shutil.which("qemu-system-arm")
     if path is None:
         pytest.skip("qemu-system-arm is not installed (package qemu-system-arm)")
@@ -46,7 +45,6 @@ def need_qemu() -> str:
 
 @functools.cache
 def image(board: str, application: str = "device", rig: str = RIG) -> BuildResult:
-    """Return the image of a board for a rig of the presets."""
     return built(board, config.rig_model(presets.load(rig)), application)
 
 

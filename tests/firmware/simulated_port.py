@@ -53,8 +53,6 @@ def powered_up(library: ctypes.CDLL, spoilt: str = "") -> Run:
 
 
 class SimulatedPort:
-    """A newly powered board, as a link in virtual time."""
-
     url = DeviceUrl("test", "", {}, "test://")
     bytes_per_second = None
     messages: tuple[str, ...] = ()

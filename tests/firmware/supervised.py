@@ -185,8 +185,6 @@ class Board(Supervisor):
 
 
 class Rig(Supervisor):
-    """A simulated rig in lock-step with its host."""
-
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         super().__init__()
         self.device = FirmwareDevice(model, library=library, **options)

@@ -17,6 +17,7 @@ from rig.core.model import RigModel
 from sim_backend.board.safety import BUDGET, HEAT, configure_heat, flat, warm
 from tests.conformance.rigs import rotary_rig
 from tests.firmware import supervised
+from tests.firmware.law.law_library import structure, u8, u32, u64
 
 RATE = 2_000
 PERIOD = 16_000_000 // RATE
@@ -24,8 +25,6 @@ POLL_BYTES = 64
 
 
 class Board(supervised.Board):
-    """A core on its timer, and a host that computes the currents."""
-
     def __init__(self, library: ctypes.CDLL, model: RigModel | None = None) -> None:
         super().__init__(library, model or rotary_rig())
 
@@ -290,15 +289,9 @@ def test_bytes_without_an_end_are_counted_once_and_forgotten(library: ctypes.CDL
 # ---------------------------------------------------------------------- heat
 
 
-class CThermal(ctypes.Structure):
-    """The struct thermal of thermal.h."""
-
-    _fields_ = [
-        ("heat", ctypes.c_uint64),
-        ("budget", ctypes.c_uint64),
-        ("decay", ctypes.c_uint32),
-        ("shift", ctypes.c_uint8),
-    ]
+CThermal = structure(
+    "CThermal", (u64, "heat budget"), (u32, "decay"), (u8, "shift")
+)  # struct thermal of thermal.h
 
 
 @pytest.mark.parametrize("rate", [50, 1_000, 50_000])

@@ -15,6 +15,7 @@ from rig.control.current import CURRENT, DISAGREES, SLOTS, WORDS
 from rig.core.current_sensor import CurrentSensor
 from rig.realtime import c_board as board
 from tests.firmware.build import CORE, FIRMWARE, UNDEFINED, compile_c
+from tests.firmware.law.law_library import i8, i16, i32, structure, u8, u16, u32
 
 CONFIGURE = """
 #include "current.h"
@@ -28,41 +29,18 @@ void configure(struct current_check *check, const struct current_sensor *sensor,
 """
 
 
-class Check(ctypes.Structure):
-    """The struct current_check of current.h, with its delay line as separate fields."""
-
-    _fields_ = [
-        *((name, ctypes.c_uint16) for name in ("ticks", "passed", "awaited")),
-        *(
-            (name, ctypes.c_uint32)
-            for name in (
-                *("noise", "decay", "quick_decay", "slow_decay", "back_emf"),
-                *("difference", "largest", "sum", "last_largest"),
-            )
-        ),
-        *(
-            (name, ctypes.c_int32)
-            for name in (
-                *("expected", "quick_low", "slow_low", "quick_high", "slow_high"),
-                *("zero", "largest_zero"),
-            )
-        ),
-        *((name, ctypes.c_uint32) for name in ("speed_decay", "late")),
-        *(
-            (name, ctypes.c_int32)
-            for name in (
-                *("count", "speed", "moved", "left", "before", "smooth"),
-                *("quick_low_left", "slow_low_left", "quick_high_left", "slow_high_left"),
-            )
-        ),
-        ("sign", ctypes.c_int8),
-        ("known", ctypes.c_uint8),
-        *(
-            (name, ctypes.c_uint16)
-            for name in ("delayed", "stride", "first", "middle", "last", "newest", "filled")
-        ),
-        *((name, ctypes.c_int16 * SLOTS) for name in ("lowest", "highest")),
-    ]
+Check = structure(  # the struct current_check of current.h, with its delay line as separate fields
+    "Check",
+    (u16, "ticks passed awaited"),
+    (u32, "noise decay quick_decay slow_decay back_emf difference largest sum last_largest"),
+    (i32, "expected quick_low slow_low quick_high slow_high zero largest_zero"),
+    (u32, "speed_decay late"),
+    (i32, "count speed moved left before smooth quick_low_left slow_low_left quick_high_left slow_high_left"),
+    (i8, "sign"),
+    (u8, "known"),
+    (u16, "delayed stride first middle last newest filled"),
+    (i16 * SLOTS, "lowest highest"),
+)
 
 
 @pytest.fixture(scope="module")

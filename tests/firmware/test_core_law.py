@@ -193,7 +193,6 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
 
 
 def multisine() -> dict[str, Value]:
-    """Return a law that plays 20 lines over 700 ticks, at most about 200 quanta."""
     lines = {"lines": 20, "first": 3, "step": 5, "period": 700, "ramp": 90, "seed": 99}
     lines |= {"amplitude": 30 << 16, "bits": 6, "phases": 0}
     return push(fixed_constant_low=0, **{f"excitation_{name}": value for name, value in lines.items()})

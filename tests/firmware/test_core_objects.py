@@ -64,7 +64,6 @@ def test_it_builds_for_a_board_and_is_small(board: str) -> None:
 
 
 def includes() -> Graph:
-    """Return the includes of each node; x.c and x.h are one."""
     files = [*FIRMWARE.rglob("*.c"), *FIRMWARE.rglob("*.h")]
     graph: Graph = {}
     for path in files:
@@ -82,7 +81,6 @@ def node_of(path: Path) -> str:
 
 
 def calls() -> Graph:
-    """Return the files that define the symbols that each object file uses."""
     defined: dict[str, str] = {}
     wanted: dict[str, set[str]] = {}
     nodes = {str(built): node_of(source) for source, built in kept_objects(compiler(), SOURCES).items()}

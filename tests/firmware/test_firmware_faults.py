@@ -52,8 +52,6 @@ PARAMETERS = controller.prepare_controller(
 
 
 class Simulated(FarEnd):
-    """The Python device or the firmware, with a simulated rig behind it."""
-
     blow = -5.0  # N·m against the effort
 
     def __init__(self, device: SimulatedDevice | FirmwareDevice) -> None:
@@ -202,7 +200,6 @@ def test_samples_up_to_a_fault_arrive_and_the_lagging_effort_ends(name: str) -> 
 
 
 def jam(plant: PlantArguments) -> PlantArguments:
-    """Return the plant with friction above every effort."""
     parameters = plant.parameters.copy()
     parameters[[COULOMB, COULOMB_LINK]] = 5.0
     return PlantArguments(**plant._asdict() | {"parameters": parameters})

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from firmware_protocol.faults import Fault, LimitFlag, Status
 from firmware_protocol.messages import Mode
@@ -97,12 +98,11 @@ def test_an_oscillation_decays_as_the_damping_says(damping: float) -> None:
 
 def k_max(x: Experiment, damping: float) -> float:
     """Return the largest stiffness of the drive's own wall for which the linear system is stable."""
-    low, high = 0.0, 100.0
-    while high - low > 1e-3 * high:
-        middle = 0.5 * (low + high)
-        stable = np.linalg.eigvals(continuous(x, middle, damping)).real.max() < 0.0
-        low, high = (middle, high) if stable else (low, middle)
-    return low
+
+    def growth(stiffness: float) -> float:
+        return float(np.linalg.eigvals(continuous(x, stiffness, damping)).real.max())
+
+    return float(brentq(growth, 1e-3, 100.0, rtol=1e-3))
 
 
 @pytest.mark.parametrize("where", first_by_default(["drive", "float32"]))

@@ -84,7 +84,6 @@ def set_field(p: ct.Structure, field: str, value: float) -> None:
 
 
 def broken(field: str, value: int) -> ct.Structure:
-    """Return golden parameters with one field set to an invalid value."""
     p = golden_parameters(golden_vectors(1))
     p.window_minimum += field == "window_maximum"
     set_field(p, field, value)

@@ -35,7 +35,6 @@ _SAME = [
 
 
 def values_of(controller: ControllerState, arithmetic: int = FLOAT) -> dict[str, Value]:
-    """Return the parameters that a host sends for a controller."""
     c = controller.control[0]
     limits = {"current_limit": round(c["effort_limit"] / c["effort_quantum"])}
     limits["reference_count"] = int(c["reference_count"])
@@ -43,7 +42,6 @@ def values_of(controller: ControllerState, arithmetic: int = FLOAT) -> dict[str,
 
 
 def parameters_of(controller: ControllerState, arithmetic: int = FLOAT) -> ct.Structure:
-    """Return the structure of the C law for a controller."""
     sense = 1 if controller.control[0]["resolution"] > 0.0 else -1
     return structure_of(values_of(controller, arithmetic), sense)
 
@@ -82,7 +80,6 @@ def structure_of(values: Mapping[str, Value], sense: int) -> ct.Structure:
 
 
 def set_estimator_values(p: ct.Structure, v: Mapping[str, Any]) -> None:
-    """Set the fields of the estimators and of the excitation."""
     p.estimator = v["estimator"]
     for name, value in v.items():
         start = next((start for start in _PARTS if name.startswith(start)), None)
@@ -113,7 +110,6 @@ def set_estimator(p: ct.Structure, prepared: Prepared) -> None:
 
 
 def copy_filter(p: Any, filter_: Biquad) -> None:
-    """Set the fields of `rig.control._fixed_point.Biquad`."""
     for name in ("b0", "b1", "b2", "a1", "a2", "coefficient_bits", "rounding"):
         setattr(p.biquad, name, getattr(filter_, name))
     p.biquad.state_bits, p.biquad.word_bits = filter_.state.fraction_bits, filter_.state.word_bits

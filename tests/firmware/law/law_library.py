@@ -18,11 +18,11 @@ STRICT = [
 ]  # fmt: skip
 WINDOW, RING, SECTIONS = 64, 128, 4
 
-i32, u32, i64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_float
+i32, u32, i64, u64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c_float
+i8, u8, i16, u16 = ct.c_int8, ct.c_uint8, ct.c_int16, ct.c_uint16
 
 
 def compile_law(output: Path, *options: str) -> Path:
-    """Compile the law with its driver; the test is skipped where there is no gcc."""
     sources = [str(path) for path in (*sorted(SOURCES.glob("*.c")), DRIVER)]
     command = [compiler(), *STRICT, *options, f"-I{SOURCES}", "-o", str(output), *sources, "-lm"]
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=output.parent)
@@ -39,36 +39,36 @@ def kept_law(name: str, *options: str) -> Path:
     return kept(f"law {name} {identity(compiler())} {STRICT} {options} {read}", make) / name
 
 
-def _structure(name: str, *fields: tuple[type, str]) -> type[ct.Structure]:
+def structure(name: str, *fields: tuple[type, str]) -> type[ct.Structure]:
     """Return a structure from (type, "names in order") pairs, in the layout of law.h."""
     listed = [(word, kind) for kind, words in fields for word in words.split()]
     return type(name, (ct.Structure,), {"_fields_": listed})
 
 
-Biquad = _structure("Biquad", (i32, "b0 b1 b2 a1 a2 coefficient_bits state_bits word_bits rounding"))
-Section = _structure("Section", (f32, "inner band low"), (i32, "order"))
-LowPass = _structure("LowPass", (i32, "sections"), (Section * SECTIONS, "section"))
-Foaw = _structure("Foaw", (i32, "band limit stop_first least_squares"))
-Levant = _structure("Levant", (f32, "alpha lambda_"), (i32, "discretisation integrator"))
-Kalman = _structure("Kalman", (f32, "gain_position gain_velocity gain_acceleration input"))
-TwoMass = _structure(
+Biquad = structure("Biquad", (i32, "b0 b1 b2 a1 a2 coefficient_bits state_bits word_bits rounding"))
+Section = structure("Section", (f32, "inner band low"), (i32, "order"))
+LowPass = structure("LowPass", (i32, "sections"), (Section * SECTIONS, "section"))
+Foaw = structure("Foaw", (i32, "band limit stop_first least_squares"))
+Levant = structure("Levant", (f32, "alpha lambda_"), (i32, "discretisation integrator"))
+Kalman = structure("Kalman", (f32, "gain_position gain_velocity gain_acceleration input"))
+TwoMass = structure(
     "TwoMass",
     (f32, "spring_motor spring_link gain_position gain_velocity gain_twist gain_link gain_hand input"),
 )
-Fixed = _structure(
+Fixed = structure(
     "Fixed",
     (i64, "constant home_effort"),
     (i32, "trial_slew homing_slew speed_limit slow_speed direction side surface stiffness damping shift"),
     (i32, "home_stiffness home_damping home_shift reserved"),
 )
-Wall = _structure(
+Wall = structure(
     "Wall",
     (f32, "surface_fraction side stiffness damping constant trial_slew homing_slew speed_limit slow_speed"),
     (f32, "velocity_lsb home_stiffness home_damping home_effort passive_damping"),
     (i32, "surface_whole"),
 )
-Excitation = _structure("Excitation", (u32, "lines first step period ramp amplitude bits phases seed"))
-Parameters = _structure(
+Excitation = structure("Excitation", (u32, "lines first step period ramp amplitude bits phases seed"))
+Parameters = structure(
     "Parameters",
     (i64, "home_target home_step"),
     (i32, "arithmetic estimator reference sense window_minimum window_maximum home_minimum home_maximum"),
@@ -86,24 +86,22 @@ Parameters = _structure(
     (Fixed, "fixed_wall"),
     (Excitation, "excitation"),
 )
-ExcitationState = _structure("ExcitationState", (i32, "at"), (u32, "rising rise"), (ct.c_void_p, "table"))
-FoawState = _structure(
+ExcitationState = structure("ExcitationState", (i32, "at"), (u32, "rising rise"), (ct.c_void_p, "table"))
+FoawState = structure(
     "FoawState",
     (u32, "samples newest period"),
     (i32 * RING, "count"),
     (u32 * RING, "taken"),
     (i32 * (WINDOW + 1), "rise span"),
 )
-LevantState = _structure("LevantState", (f32, "error integrator"))
+LevantState = structure("LevantState", (f32, "error integrator"))
 
 
 class Memory(ct.Union):
-    """The memory of the running estimator."""
-
     _fields_ = (("foaw", FoawState), ("levant", LevantState))  # the largest, and what tests look into
 
 
-State = _structure(
+State = structure(
     "State",
     (i64, "setpoint wall_energy active_sum"),
     (i32, "limited_fixed"),
@@ -116,8 +114,8 @@ State = _structure(
     (Memory, "of"),
     (ExcitationState, "excitation"),
 )
-Input = _structure("Input", (i32, "count"), (u32, "elapsed_ticks"), (i32, "active"))
-Output = _structure("Output", (i32, "current"), (u32, "flags phase"))
+Input = structure("Input", (i32, "count"), (u32, "elapsed_ticks"), (i32, "active"))
+Output = structure("Output", (i32, "current"), (u32, "flags phase"))
 
 INPUTS = np.dtype([("count", "<i4"), ("elapsed_ticks", "<u4"), ("active", "<i4")])
 TICKS = np.dtype([  # what the driver leaves of a tick
@@ -137,7 +135,6 @@ def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarr
 class LawLibrary:
     @classmethod
     def built(cls) -> Self:
-        """Return the law built by this computer's compiler with optimisation."""
         return cls(kept_law("law.so", "-O2", "-fPIC", "-shared"))
 
     def __init__(self, path: Path) -> None:

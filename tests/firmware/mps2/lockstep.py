@@ -105,7 +105,6 @@ COUNTED = ("-icount", "shift=5,sleep=off")  # time in instructions
 
 
 def emulator(board: str, serial: str = "none", time: Sequence[str] = COUNTED) -> list[str]:
-    """Return the emulator's command for a board."""
     machine = MACHINES[board.partition("-")[2] or "an386"]
     command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", serial]
     return [*command, "-semihosting-config", "enable=on,target=native", *time]
@@ -168,7 +167,6 @@ class Rig:
 
     @property
     def trace(self) -> np.ndarray:
-        """The ticks as rows of dtype `TRACE`."""
         return np.array(self._trace, TRACE)
 
     @property

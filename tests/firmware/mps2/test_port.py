@@ -40,8 +40,6 @@ def test_port_to_a_uart_lacks_only_its_declared_duties() -> None:
 
 
 class SimulatedPartner(Partner):
-    """A process with the simulated board in the emulator."""
-
     def run(self, us: int, data: bytes) -> bytes:
         os.write(self._requests, REQUEST.pack(us, len(data), data))
         received = self._read()

@@ -70,14 +70,12 @@ IMAGES: dict[str, tuple[dict[str, object], dict[str, Any]]] = {
 
 @cache
 def built(name: str) -> tuple[RigModel, BuildResult]:
-    """Return the rig and the firmware of one of `IMAGES`."""
     changes, settings = IMAGES[name]
     model = rig_model(override(load(PRESET), changes))
     return model, image(model, **settings)
 
 
 def image(model: RigModel, application: str = DEVICE, **settings: Any) -> BuildResult:
-    """Return the firmware for a rig with a current monitor; skip the test without a cross compiler."""
     return cross.built("rp2040", model, application, current_monitor="adc", **settings)
 
 
@@ -208,11 +206,9 @@ class Pico:
             _ended(self._process)
 
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
-        """Send a command to serve.js and return its reply."""
         return _asked(self._process, op, arguments)
 
     def run(self, us: float) -> bytes:
-        """Advance time; return the bytes that reached the host."""
         return bytes.fromhex(self.ask("run", us=us)["sent"])
 
     def send(self, data: bytes) -> None:
@@ -267,8 +263,6 @@ def plant_states(model: RigModel, position: float, efforts: list[float]) -> list
 
 
 class PicoLink:
-    """The serial line of an emulated board, as a link in virtual time."""
-
     url = "emulated"
     bytes_per_second = 300_000.0
     messages: Sequence[str] = ()

@@ -21,8 +21,6 @@ WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_lim
 
 
 class Session:
-    """The board, its line, and a host that has identified it."""
-
     def __init__(self, pico: Pico, built: BuildResult) -> None:
         self.pico = pico
         self.link = PicoLink(pico)
@@ -98,7 +96,6 @@ class Session:
         return requests
 
     def ticks(self) -> Ticks:
-        """Return the ticks since the last call."""
         log = self.pico.ticks()
         since, self._seen = self._seen, len(log.at)
         return log[since:]

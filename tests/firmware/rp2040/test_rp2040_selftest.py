@@ -52,8 +52,6 @@ UNSEEN = {"time width"}
 
 
 class Link(emulator.PicoLink):
-    """A serial line that survives resets of the board."""
-
     url = DeviceUrl("emulated", "pico", {}, "emulated://pico")  # type: ignore[assignment]
 
     def failure(self) -> None:

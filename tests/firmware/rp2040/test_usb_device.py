@@ -41,7 +41,6 @@ def frames_of(data: bytes) -> list[bytes]:
 
 
 def pairs(data: bytes) -> Iterator[bytes]:
-    """Yield the consecutive descriptors in these bytes."""
     while data:
         assert 2 <= data[0] <= len(data)
         yield data[: data[0]]

@@ -26,7 +26,6 @@ class StallError(Exception):
 
 
 def program() -> Path:
-    """Return the program with the stack and the model of its controller."""
     return build.kept_c("usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}", f"-I{CORE}"])
 
 

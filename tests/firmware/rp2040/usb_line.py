@@ -20,8 +20,6 @@ URL = DeviceUrl("usb", "1209:0001", {}, "usb://1209:0001")
 
 
 class UsbLine:
-    """The bytes to and from an emulated board that is plugged in."""
-
     def __init__(self, pico: Pico, endpoint: int = 1) -> None:
         self.pico = pico
         self.plugged = pico.ask("usb_plug", endpoint=endpoint)
@@ -51,8 +49,6 @@ class UsbLine:
 
 
 class UsbSupervisor(Supervisor):
-    """A host that supervises the law of an emulated board."""
-
     def __init__(self, line: UsbLine, dictionary_hash: int) -> None:
         super().__init__()
         self.line = line

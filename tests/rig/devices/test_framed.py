@@ -55,7 +55,6 @@ class Wire:
         return [decoded(frame) for _, frame in self.sent]
 
     def answers(self, kind: Any) -> Any:
-        """Return the replies of the device of one type."""
         frames = [frame + b"\0" for frame in self.received.split(b"\0") if frame]
         return [message for message in map(decoded, frames) if isinstance(message, kind)]
 
@@ -73,7 +72,6 @@ def make(*, faults: Any = None, **options: Any) -> Any:
 
 
 def configured(**options: Any) -> Any:
-    """Return a device, its wire, and a host that has configured it."""
     simulated, wire, device = make(**options)
     device.configure(RUN_PARAMETERS)
     return simulated, wire, device
@@ -280,7 +278,6 @@ def test_a_refused_parameter_is_named_with_the_range_that_the_device_allows() ->
 
 
 def pages(wire: Any) -> Any:
-    """Return the number of requests for a page of the active parameters."""
     return sum(isinstance(message, m.GetParameters) for message in wire.messages())
 
 
@@ -462,36 +459,32 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
     claim_to_be_real(monkeypatch)
 
 
-def reset(simulated: Any, wire: Any) -> None:
-    simulated.reset()
+def stay_alone(simulated: Any, wire: Any) -> None:
+    pass
 
 
-def reset_and_met_by_another(simulated: Any, wire: Any) -> None:
-    simulated.reset()
+def meet_another(simulated: Any, wire: Any) -> None:
     FramedDevice(MemoryLink(simulated)).identify()
 
 
-def reset_and_faulty(simulated: Any, wire: Any) -> None:
-    """Reset the device with a fault that hides its BOOT state, so that only its parameters show the reset."""
-    simulated.reset()
+def break_encoder(simulated: Any, wire: Any) -> None:
+    """Cause a fault that hides the state BOOT, so that only the parameters show the restart."""
     simulated.inject_fault(Fault.ENCODER)
     wire.link.elapse(0.01)
 
 
-def reset_and_configured_by_another(simulated: Any, wire: Any) -> None:
-    simulated.reset()
+def be_configured(simulated: Any, wire: Any) -> None:
     FramedDevice(MemoryLink(simulated)).configure({**RUN_PARAMETERS, "reference_count": 77})
 
 
-@pytest.mark.parametrize(
-    "restart", [reset, reset_and_met_by_another, reset_and_faulty, reset_and_configured_by_another]
-)
+@pytest.mark.parametrize("then", [stay_alone, meet_another, break_encoder, be_configured])
 def test_a_real_device_that_restarted_in_the_middle_of_a_session_is_not_armed_with_the_old_zero(
-    restart: Any, real: None
+    then: Any, real: None
 ) -> None:
     simulated, wire, device = armed()
     device.disarm()
-    restart(simulated, wire)
+    simulated.reset()
+    then(simulated, wire)
     for _ in range(2):
         with pytest.raises(DeviceRefusedError, match="has restarted") as caught:
             device.configure(RUN_PARAMETERS)

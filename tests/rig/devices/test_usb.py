@@ -25,8 +25,6 @@ def endpoint(address: int, kind: int = BULK, size: int = 64) -> SimpleNamespace:
 
 
 class Interface(list):
-    """A fake interface with its endpoints."""
-
     def __init__(self, *ends: SimpleNamespace, kind: int = 0xFF, number: int = 0, alternate: int = 0) -> None:
         super().__init__(ends)
         self.bInterfaceClass, self.bInterfaceNumber, self.bAlternateSetting = kind, number, alternate
