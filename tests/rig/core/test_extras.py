@@ -133,12 +133,9 @@ def test_a_scheme_has_its_system_and_whether_it_is_made_for_a_rig(install: Insta
         devices.open_link("odrive://can0")
 
 
-def test_a_scheduler_is_refused_without_its_extra(install: Install) -> None:
+def test_a_scheduler_is_refused_without_its_extra_or_a_target_that_loads(install: Install) -> None:
     with pytest.raises(ConfigError, match="executor of sweeps dask: no installed extra has it"):
         executor_for("tcp://127.0.0.1:1", None)
-
-
-def test_a_target_that_does_not_load_is_refused_with_its_extra(install: Install, tmp_path: Path) -> None:
     install("cluster", {"executors": {"dask": row("no_such_module_here:Cluster")}})
     with pytest.raises(ConfigError, match="cannot import no_such_module_here:Cluster of the extra cluster"):
         executor_for("tcp://127.0.0.1:1", None)

@@ -54,11 +54,6 @@ def test_the_example_of_a_docstring_says_what_comes(name: str) -> None:
     assert runner.run(example).failed == 0
 
 
-def test_a_name_that_is_not_public_is_no_attribute() -> None:
-    with pytest.raises(AttributeError, match="module 'rig' has no attribute 'hti'"):
-        _ = rig.hti  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize(
     ("option", "modules", "heavy"),
     [

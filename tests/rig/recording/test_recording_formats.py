@@ -24,7 +24,6 @@ from rig.recording.reader import open_facts, open_recording
 from rig.views.plots.hit import DRAWN, hit_figure, xy_figure
 from rig.views.plots.style import STRETCHES, visible
 from tests.conformance.recording import Limits, check_recording_format, example_header, example_rows
-from tests.conformance.tiers import first_by_default
 
 
 def write_rigcap(recording: Recording, path: Path) -> None:
@@ -66,7 +65,7 @@ FORMATS: dict[str, tuple[Any, Any, Limits]] = {
 }
 
 
-@pytest.mark.parametrize("name", first_by_default(FORMATS, 2))
+@pytest.mark.parametrize("name", FORMATS)
 def test_format_keeps_what_a_recording_is(name: str, tmp_path: Path) -> None:
     write, read, limits = FORMATS[name]
     numbers = itertools.count()

@@ -71,13 +71,6 @@ def test_headers_of_equal_runs_differ_only_in_three_keys() -> None:
     assert set(first) - set(repeatable(first)) == set(VOLATILE) == {"created", "host", "git"}
 
 
-def test_header_holds_only_what_json_holds() -> None:
-    header = example_header(extra={"array": np.arange(3)})
-    assert json.loads(json.dumps(header)) == header
-    assert header["extra"] == {"array": [0, 1, 2]}
-    assert header["versions"]["numpy"] == np.__version__
-
-
 GIT = str(shutil.which("git"))
 
 

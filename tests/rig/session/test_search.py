@@ -247,6 +247,8 @@ def test_so_many_of_the_trials_are_catch_trials(share: float) -> None:
     answers = run(catching(always, share), Observer(threshold=430.0, spread=15.0), seed=1, most=many)
     scatter = math.sqrt(share * (1.0 - share) / many)
     assert np.mean([answer.probe.catch for answer in answers]) == pytest.approx(share, abs=3.0 * scatter)
+    with pytest.raises(ConfigError, match=r"0\.9"):
+        catching(always, 0.9)
 
 
 def test_an_invalid_catch_trial_comes_again_like_any_other() -> None:
@@ -257,11 +259,6 @@ def test_an_invalid_catch_trial_comes_again_like_any_other() -> None:
         assert rule.next(answers) == probe
         answers[-1] = JudgedProbe(probe, probe.level < 430.0)
     assert any(answer.probe.catch for answer in answers)
-
-
-def test_no_share_of_catch_trials_is_too_large() -> None:
-    with pytest.raises(ConfigError, match=r"0\.9"):
-        catching(MAKE["grid"](seed=1), 0.9)
 
 
 def caught_of(rule: Any, answers: Any) -> Any:

@@ -436,15 +436,6 @@ def test_a_snapshot_is_of_the_newest_rows() -> None:
         assert found.round_trip_ns == 1_900_000  # named two ticks after it was sent, less what the law took
 
 
-def test_a_law_on_the_device_has_no_round_trip() -> None:
-    ring = ring_with(600)
-    for name in ("sent_at", "command_sequence", "command_active"):
-        ring.rows[name] = 0
-    found = snapshot_of(ring)
-    assert found is not None
-    assert found.round_trip_ns is None
-
-
 # The hand
 
 

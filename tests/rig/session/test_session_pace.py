@@ -41,24 +41,15 @@ def link_of(stalls_s: Mapping[int, float], usual_s: float = 0.3e-3) -> LinkMeasu
     )  # fmt: skip
 
 
-def test_a_stall_loses_the_samples_of_its_periods() -> None:
+def test_a_stall_a_late_thread_and_a_missing_answer_lose_samples_and_a_long_way_none() -> None:
     found = pace_of(link_of({700: 11.2e-3}), 1000, LIMITS)
-    assert (found.lost_share, found.longest_gap_s) == (10 / 2000, 0.010)
+    assert (found.lost_share, found.longest_gap_s) == (10 / 2000, 0.010)  # the samples of its periods
     assert not found.hopeless  # a bad moment is not a bad machine
     assert pace_of(link_of({}), 1000, LIMITS).text == ""
-
-
-def test_a_link_that_always_takes_long_loses_nothing() -> None:
     assert pace_of(link_of({}, usual_s=4.2e-3), 1000, LIMITS).lost_share == 0.0
-
-
-def test_a_thread_that_is_woken_late_loses_samples_too() -> None:
-    link = link_of({})
-    link.exchanges[900:] += 5_400_000  # asked late, and answered at once
-    assert pace_of(link, 1000, LIMITS).lost_share == 5 / 2000
-
-
-def test_an_answer_that_never_came_is_one_lost_sample() -> None:
+    woken = link_of({})
+    woken.exchanges[900:] += 5_400_000  # asked late, and answered at once
+    assert pace_of(woken, 1000, LIMITS).lost_share == 5 / 2000
     link = replace(link_of({}), lost=1, exchanges=np.delete(link_of({}).exchanges, slice(500, 551), axis=0))
     assert pace_of(link, 1000, LIMITS).lost_share == 1 / 2000
     assert pace_of(replace(link, late=1), 1000, LIMITS).lost_share == 51 / 2000  # it came: the host slept
