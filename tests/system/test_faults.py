@@ -273,6 +273,18 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path)
     assert trial.rows["phase"][-1] == Phase.TRIAL
 
 
+def test_an_exception_of_the_caller_ends_the_run_with_zero(tmp_path: Path) -> None:
+    def break_down(ticks: Any, phase: Any) -> None:
+        if ticks > 100:
+            raise ZeroDivisionError("a bug in a progress bar")
+
+    bench = Bench(**{"trial.duration_s": 60.0})
+    with pytest.raises(ZeroDivisionError):
+        bench.run(tmp_path, progress=break_down)
+    assert bench.device.current == 0
+    assert open_recording(tmp_path / "trial.rigcap").rows["phase"][-1] == Phase.TRIAL
+
+
 # ---------------------------------------------------------------------- silence of the host
 
 
