@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from rig import config
 from rig.config import presets
@@ -91,14 +92,10 @@ def test_while_it_homes_it_goes_along_whatever_is_wished() -> None:
 
 @given(distance=st.floats(-1.0, 1.0, allow_subnormal=False), rate=st.floats(-5.0, 5.0, allow_subnormal=False))
 def test_it_follows_as_the_differential_equation_does(distance: float, rate: float) -> None:
-    omega, step = 2.0 * math.pi * FOLLOW_HZ, 1e-5
-    x, v = distance, rate
-    for _ in range(2000):  # 20 ms by small steps
-        v += step * (-2.0 * omega * v - omega**2 * x)
-        x += step * v
+    omega = 2.0 * math.pi * FOLLOW_HZ  # critically damped
+    wanted = expm(0.02 * np.array([[0.0, 1.0], [-(omega**2), -2.0 * omega]])) @ [distance, rate]
     left, speed = follow(distance, rate, np.array([0.02]))
-    assert left[0] == pytest.approx(x, abs=2e-3 * (abs(distance) + abs(rate)) + 1e-12)
-    assert speed[0] == pytest.approx(v, abs=2e-2 * (abs(distance) + abs(rate)) + 1e-12)
+    assert [left[0], speed[0]] == pytest.approx(wanted, abs=1e-9)
 
 
 def test_a_step_of_a_key_becomes_a_motion_without_overshoot() -> None:

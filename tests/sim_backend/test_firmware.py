@@ -1,6 +1,7 @@
 """The firmware as a simulated device: its library is built once, and one call of many ticks equals single ticks."""
 
 import ctypes
+import re
 import stat
 import sys
 import threading
@@ -26,7 +27,7 @@ from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import DeviceFault, Faults, Happening
 from rig.realtime import _c_library as c_library
 from rig.realtime._c_library import CLibrary
-from sim_backend.board import firmware_library
+from sim_backend.board import firmware_library, lockstep
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.board.firmware_library import FIRMWARE
@@ -164,6 +165,12 @@ def test_a_compiler_is_named_with_its_options(monkeypatch: pytest.MonkeyPatch) -
     found = FIRMWARE.compiler()
     monkeypatch.setenv("CC", f"{found[0]} -m64")
     assert FIRMWARE.compiler() == [found[0], "-m64"]
+
+
+def test_the_words_are_those_of_the_header() -> None:
+    fields = (FIRMWARE.root / "host" / "lockstep.h").read_text().partition("struct lockstep {")[2]
+    names = re.findall(r"\w+", " ".join(re.findall(r"int64_t ([^;]+);", fields.partition("};")[0])))
+    assert [getattr(lockstep, name.upper()) for name in names] == list(range(lockstep.TRUE_COUNT))
 
 
 # ---------------------------------------------------------------------- many ticks are those ticks

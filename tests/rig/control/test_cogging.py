@@ -13,7 +13,7 @@ from rig import config
 from rig.analysis import theory
 from rig.config import controller, presets
 from rig.control import laws
-from rig.control.cogging import FADE, around, bounded_at, compensate_cogging
+from rig.control.cogging import FADE, bounded_at, compensate_cogging
 from rig.core.model import Cogging
 from rig.core.sample import Phase
 from rig.testing import Hits
@@ -77,8 +77,8 @@ def test_the_wall_stays_the_wall_and_the_motor_pushes_against_its_cogging(side: 
 def test_a_replay_needs_only_the_wrapper_and_friction_may_be_inside_of_it() -> None:
     name = "spring-damper+friction+cogging"
     assert laws.get(name).name == name
-    plain = laws.get("spring-damper")
-    law, again = compensate_cogging(plain, MAP, 0.1).prepare(WALL), around(plain)
+    law = compensate_cogging(laws.get("spring-damper"), MAP, 0.1).prepare(WALL)
+    again = laws.get("spring-damper+cogging")
     state = np.zeros_like(law.state)
     expected = law.law.function(1e-3, 0.05, 1, law.state, law.parameters)
     assert again.function(1e-3, 0.05, 1, state, law.parameters) == expected

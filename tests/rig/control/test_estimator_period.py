@@ -64,22 +64,6 @@ def test_steady_motion_reads_to_the_resolution_of_edge_times(
     assert not v[: np.flatnonzero(np.diff(counts))[0] + 2].any()
 
 
-def edges_of(motion: Any, until_s: float, step_s: float = 5e-6) -> Any:
-    """Return time and boundary of every crossing of a motion in counts, by bisection: an independent oracle."""
-    times = np.arange(0.0, until_s, step_s)
-    cells = np.floor(motion(times))
-    found = []
-    for k in np.flatnonzero(np.diff(cells)):
-        low, high = times[k], times[k + 1]
-        boundary = max(cells[k], cells[k + 1])
-        above = motion(low) >= boundary
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if (motion(middle) >= boundary) == above else (low, middle)
-        found.append((high, boundary))
-    return found
-
-
 def sampled(motion: Any, edges: Any, samples: int) -> Any:
     times = PERIOD * np.arange(samples)
     when = [t for t, _ in edges]
@@ -107,7 +91,8 @@ def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s: floa
     def motion(t: Any) -> Any:
         return 100.3 - 8000.0 * (t - turn_s) ** 2
 
-    edges = edges_of(motion, 0.11)
+    found = [(turn_s + way * math.sqrt((100.3 - b) / 8000.0), b) for b in range(60, 101) for way in (-1, 1)]
+    edges = sorted((time_s, boundary) for time_s, boundary in found if time_s > 0.0)
     counts, ages, last = sampled(motion, edges, 200)
     v = velocities(prepare("period"), counts, ages)
     assert v == pytest.approx(mean_velocities(edges, last), abs=2e-4)
@@ -153,7 +138,8 @@ def test_a_reversal_begins_a_new_window() -> None:
     def motion(t: Any) -> Any:
         return 1000.3 - np.abs(2.0e4 * (t - 0.02015))
 
-    edges = edges_of(motion, 0.041)
+    found = [(0.02015 + way * (1000.3 - b) / 2.0e4, b) for b in range(580, 1001) for way in (-1, 1)]
+    edges = sorted((time_s, boundary) for time_s, boundary in found if time_s > 0.0)
     counts, ages, _ = sampled(motion, edges, 80)
     v = velocities(prepare("period-frequency", window_s=20 * PERIOD), counts, ages)
     assert v[39] == pytest.approx(10.0, rel=1e-3)

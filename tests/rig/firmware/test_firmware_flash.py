@@ -2,16 +2,16 @@
 
 import errno
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import rig.cli
 from firmware_protocol import dictionary as dictionaries
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, LinkLostError
 from rig.firmware import _flash as flashing
-from rig.firmware._flash import BootDrive, drive_at, find_drives, flash
+from rig.firmware._flash import BootDrive, find_drives, flash
 from rig.firmware._record import ImageFacts, Record, pack
 from rig.firmware._uf2 import RP2040, Piece, write_uf2
 
@@ -41,13 +41,14 @@ def starting(drive: Any) -> Any:
     """Act as a board after the last block: it restarts, and its drive disappears."""
 
     def step(what: Any, _share: Any) -> None:
-        if what.startswith("waiting"):
+        if what == "waiting for the board to start":
             (drive / "INFO_UF2.TXT").unlink(missing_ok=True)
 
     return step
 
 
 def test_the_image_is_copied_and_the_board_starts(image: Any, drive: Any) -> None:
+    assert find_drives() == [BootDrive(path=drive, board_id="RPI-RP2", model="Raspberry Pi RP2")]
     done = flash(image, on_progress=starting(drive))
     assert (drive / "a.uf2").read_bytes() == image.read_bytes()
     assert (done.drive, done.board_id, done.rig) == (drive, "RPI-RP2", "mine")
@@ -67,22 +68,13 @@ def test_a_running_device_is_requested_to_show_its_drive(
 
     monkeypatch.setattr(flashing, "open_device", lambda _url: nullcontext(Device()))
 
-    def step(what: str, _share: float) -> None:
-        if what == "waiting for the board to start":
-            (drive / "INFO_UF2.TXT").unlink()
-
-    done = flash(image, on_progress=step, url="usb://1209:0001")
+    done = flash(image, on_progress=starting(drive), url="usb://1209:0001")
     assert (asked, done.drive) == (["asked"], drive)
 
 
 def test_a_device_without_a_boot_loader_refuses_the_request(image: Any, drive: Any) -> None:
     with pytest.raises(DeviceRefusedError, match="does not support this request"):
         flash(image, url="sim://koul-rigid")
-
-
-def test_a_drive_is_identified_by_its_info_file(drive: Any) -> None:
-    assert find_drives() == [BootDrive(path=drive, board_id="RPI-RP2", model="Raspberry Pi RP2")]
-    assert drive_at(drive).board_id == "RPI-RP2"
 
 
 def test_without_a_drive_the_error_names_the_button_to_hold(
@@ -102,39 +94,31 @@ def test_of_two_boards_one_must_be_named(image: Any, drive: Any, monkeypatch: py
     assert flash(image, drive, starting(drive)).drive == drive
 
 
-def test_an_image_for_another_processor_is_refused(image: Any, drive: Any) -> None:
-    image.write_bytes(write_uf2([Piece(0x1000_0000, IMAGE)], 0xE48BFF59))
-    with pytest.raises(ConfigError, match="RP2350"):
-        flash(image)
-    image.write_bytes(IMAGE)
-    with pytest.raises(ConfigError, match="not a UF2"):
+def test_an_image_for_another_processor_or_board_is_refused(image: Any, drive: Any) -> None:
+    good = image.read_bytes()
+    other = pack(Record(replace(FACTS, board="mps2"), dictionaries.encode(DICTIONARY)))
+    for content, message in (
+        (write_uf2([Piece(0x1000_0000, IMAGE)], 0xE48BFF59), "RP2350"),
+        (write_uf2([Piece(0x1000_0000, other)], RP2040), "for board mps2"),
+        (IMAGE, "not a UF2"),
+    ):
+        image.write_bytes(content)
+        with pytest.raises(ConfigError, match=message):
+            flash(image)
+    image.write_bytes(good)
+    (drive / "INFO_UF2.TXT").write_text("Board-ID: OTHER\n")
+    with pytest.raises(DeviceNotFoundError, match="OTHER"):
         flash(image)
     assert not (drive / "a.uf2").exists()
 
 
-def test_an_unknown_board_is_refused(image: Any, drive: Any) -> None:
-    (drive / "INFO_UF2.TXT").write_text("Board-ID: OTHER\n")
-    with pytest.raises(DeviceNotFoundError, match="OTHER"):
-        flash(image)
-
-
-def test_an_image_for_another_board_is_refused(image: Any, drive: Any) -> None:
-    facts = ImageFacts(package="0.1", sources="abc", board="mps2", rig="mine", settings={})
-    other = pack(Record(facts, dictionaries.encode(DICTIONARY)))
-    image.write_bytes(write_uf2([Piece(0x1000_0000, other)], RP2040))
-    with pytest.raises(ConfigError, match="for board mps2"):
-        flash(image)
-
-
-def test_a_board_that_does_not_start_is_an_error(
+def test_a_board_that_does_not_start_or_a_drive_that_cannot_be_written_is_an_error(
     image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(flashing, "VANISH_S", 0.0)
     with pytest.raises(LinkLostError, match="did not accept the image"):
         flash(image)
-
-
-def test_a_drive_that_cannot_be_written_is_an_error(image: Any, drive: Any) -> None:
+    (drive / "a.uf2").unlink()
     (drive / "a.uf2").mkdir()
     with pytest.raises(LinkLostError, match="cannot be written"):
         flash(image)
@@ -178,13 +162,3 @@ def test_a_stale_mount_is_a_drive_that_is_gone(
         patch.setattr(flashing.Path, "exists", stale)
         done = flash(image, drive)
     assert done.drive == drive
-
-
-def test_the_command_reports_the_copy_and_how_to_check_it(
-    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(flashing, "_is_there", lambda _drive: False)
-    assert rig.cli.run(["firmware", "flash", str(image)]) == 0
-    out = capfd.readouterr().out
-    assert "took the image" in out
-    assert "rig firmware info URL" in out
