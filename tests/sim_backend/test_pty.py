@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 import tty
 from collections.abc import Iterator
@@ -13,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol import messages as m
-from firmware_protocol.faults import Fault
 from firmware_protocol.framing import FrameSplitter
 from firmware_protocol.packing import unpack
 from rig.core.errors import ConfigError
@@ -27,17 +24,10 @@ from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.served import served_rig
-from tests.conformance.started import die_with_parent, started
 from tests.conformance.tiers import first_by_default
 
 WAIT_S = 20.0
 SLACK_S = 5.0  # of a loaded machine
-PROGRAM = """
-from rig.core import program; program.begin()
-from sim_backend.ends.pty import serve
-from tests.conformance.rigs import rotary_rig
-serve(rotary_rig(), announce=lambda path: print(path, flush=True), link_path={link_path!r}, firmware={firmware})
-"""
 
 
 def open_port(path: str) -> SerialLink:
@@ -66,15 +56,6 @@ def run(host: Host, states: int) -> list[m.State]:
         list(host.events(0.1))
         host.command(20)
     return host.states
-
-
-def fault_of(host: Host) -> int:
-    """Wait for a fault in the log of the device and return its code."""
-    end = time.monotonic() + WAIT_S
-    log: m.FaultLog
-    while not (log := host.ask(m.GetFaultLog(host.nonce(), 0))).fault:
-        assert time.monotonic() < end
-    return log.fault
 
 
 @pytest.mark.quiet
@@ -163,42 +144,6 @@ def test_unread_frames_of_one_host_do_not_reach_the_next(path: str) -> None:
     assert first.sample_index > last + 10  # an unread frame would be the next one; the rig may be late
 
 
-@pytest.mark.exhaustive("::test_it_ends_by_itself_after_its_duration")
-def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path, firmware: bool) -> None:
-    link_path = tmp_path / "rig"
-    program = PROGRAM.format(link_path=str(link_path), firmware=firmware)
-    with started(sys.executable, "-c", program, stdout=subprocess.PIPE, text=True) as rig:
-        assert rig.stdout is not None
-        assert rig.stdout.readline().strip() == str(link_path)
-        reading, writing = os.pipe()
-        child = os.fork()
-        if child == 0:
-            try:
-                die_with_parent()
-                host = Host(open_port(str(link_path)))
-                host.begin()
-                run(host, 20)
-                os.write(writing, b"runs")
-                while True:
-                    run(host, 20)
-            finally:
-                os._exit(1)
-        os.close(writing)
-        with os.fdopen(reading, "rb") as pipe:
-            assert pipe.read(4) == b"runs"
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        heir = Host(open_port(str(link_path)), first_nonce=500)
-        heir.identify()
-        assert fault_of(heir) == Fault.LINK_LOST
-        assert heir.disarm(clear_fault=True).status == 0
-        assert heir.next_state().current_commanded == 0
-        heir.link.close()
-        rig.send_signal(signal.SIGTERM)
-        assert rig.wait(WAIT_S) == 0
-        assert not link_path.is_symlink()
-
-
 def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """The server's clock jumps by half a second, then by an hour; only the first passes in simulated time."""
     jump_ns, monotonic_ns = 0, time.monotonic_ns
@@ -219,10 +164,12 @@ def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch
         host.link.close()
 
 
-def test_it_ends_by_itself_after_its_duration() -> None:
-    announced: list[str] = []
-    pty.serve(rotary_rig(), announce=announced.append, duration_s=0.05)
-    assert len(announced) == 1
+def test_it_ends_after_its_duration_or_by_sigterm_and_removes_its_link(tmp_path: Path) -> None:
+    link, announced = tmp_path / "rig", []
+    pty.serve(rotary_rig(), announce=announced.append, link_path=link, duration_s=0.05)
+    pty.serve(rotary_rig(), announce=lambda _: os.kill(os.getpid(), signal.SIGTERM), link_path=link)
+    assert announced == [str(link)]
+    assert not link.is_symlink()
 
 
 @pytest.mark.parametrize(
