@@ -74,7 +74,6 @@ class BatchDevice:
         self.arrived = b""
         self.error = 0
         self.write_error = 0
-        self.answers = True
         self._assembler = Assembler()
         self.block_crc = 0
         self.commit = lambda: Status.OK
@@ -177,7 +176,7 @@ class BatchDevice:
         self.received.append((self.clock.now_ns(), message))
         if isinstance(message, m.Command):
             self._command(header.sequence, message)
-        elif self.answers:
+        else:
             self._answer(message)
 
     @staticmethod
@@ -198,7 +197,8 @@ class BatchDevice:
 
     def _answer(self, message: m.Message) -> None:
         if isinstance(message, m.GetTime):
-            self._send_frame(m.Time(message.nonce, message.host_sent, self._time(), self._time()))
+            time = m.Time(message.nonce, message.host_sent, self._time(), self._time())
+            self._arrive(encode_frame(pack(time, session=self.session)))
             return
         key = type_id_of(type(message)), message.nonce  # type: ignore[attr-defined]
         if isinstance(message, m.SetCommit) and key in self._replies:
@@ -221,9 +221,6 @@ class BatchDevice:
         if isinstance(message, m.SetCommit):
             self._replies[key] = reply
         self._arrive(reply)
-
-    def _send_frame(self, message: m.Message) -> None:
-        self._arrive(encode_frame(pack(message, session=self.session)))
 
     def commands(self) -> list[m.Command]:
         return [message for _, message in self.received if isinstance(message, m.Command)]

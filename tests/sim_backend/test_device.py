@@ -2,7 +2,6 @@
 
 import math
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault, Input, LimitFlag, Status
 from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
-from firmware_protocol.parameters import BY_NAME, DEFAULTS
+from firmware_protocol.parameters import DEFAULTS
 from rig.core.model import RigModel
 from rig.core.sample import TRUTH
 from sim_backend.board.device import SimulatedDevice
@@ -100,21 +99,6 @@ def test_dictionary_contains_the_rig_and_its_limits() -> None:
     assert limit.maximum == 10_000  # effort limit 1 N·m at 0.1 N·m/A and 1 mA
 
 
-@pytest.mark.parametrize(
-    ("sign", "name", "value"),
-    [(1, "position_rate", 8_001), (1, "motion", 1), (1, "encoder_sign", -1), (-1, "encoder_sign", 1)],
-)
-def test_a_parameter_beyond_the_device_is_refused_with_its_id(
-    sign: Literal[-1, 1], name: str, value: int
-) -> None:
-    host = host_of(rotary_rig(sign=sign), position_rate_maximum=8_000)
-    host.identify()
-    assert host.configure(**RUN_PARAMETERS, encoder_sign=sign).status == Status.OK
-    ack = host.configure(**{**RUN_PARAMETERS, name: value})
-    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME[name].id)
-    assert device_of(host).rate == 1_000
-
-
 def test_device_sends_state_at_100_hz_from_identify_until_armed() -> None:
     host = host_of()
     assert host.link.read(1.0) == b""
@@ -122,15 +106,6 @@ def test_device_sends_state_at_100_hz_from_identify_until_armed() -> None:
     states = silence(host, 3)
     assert [b.sample_index - a.sample_index for a, b in pairwise(states)] == [10, 10]
     assert {state.current_commanded for state in states} == {0}
-
-
-def test_only_live_parameters_change_while_armed() -> None:
-    host = armed()
-    ack = host.configure(float_stiffness=5.0)
-    assert ack.status == Status.OK
-    assert device_of(host).connection.state is State.ARMED
-    ack = host.configure(float_stiffness=6.0, ramp_us=0)
-    assert (ack.status, ack.detail) == (Status.NOT_LIVE, BY_NAME["ramp_us"].id)
 
 
 def test_the_sync_input_is_shown_with_the_time_at_which_it_rose() -> None:
@@ -506,24 +481,6 @@ def test_heat_that_the_reduction_does_not_stop_cuts() -> None:
     for _ in range(2_000):
         warm(safety.heat, 150)
     assert judge(safety, 0, 0, 150) == 1 << Fault.THERMAL
-
-
-def test_a_reset_forgets_homing_verification_parameters_and_session_but_not_the_motion() -> None:
-    host = armed()
-    exchange(host, 100, ticks=100)
-    device = device_of(host)
-    count = host.states[-1].count
-    elapsed_ns = device.elapsed_ns
-    device.reset()
-    assert (device.connection.state, device.connection.session, device.time) == (State.BOOT, 0, 0)
-    assert device.elapsed_ns == elapsed_ns
-    host.connection.reset()
-    host.identify()
-    assert host.next_state().count > count
-    unhomed = {name: value for name, value in RUN_PARAMETERS.items() if name != "reference_count"}
-    assert host.arm(1, host.configure(**unhomed).crc).status == Status.NOT_HOMED
-    ack = host.configure(reference_count=0)
-    assert host.arm(1, ack.crc).status == Status.NOT_VERIFIED
 
 
 def judge(safety: Safety, count: int, current: int, measured: int) -> int:
