@@ -1,6 +1,5 @@
 """The in-memory link: virtual time in lock-step, and scripted faults of the line."""
 
-import ctypes
 import errno
 from collections.abc import Callable
 from typing import Any
@@ -20,7 +19,7 @@ from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.ends.channel import ScriptedLine
 from sim_backend.ends.link import MemoryLink, open_link
 from tests.conformance.host import Host
-from tests.conformance.link import COMPILED, check_link, listen
+from tests.conformance.link import COMPILED, check_link, give, listen
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.tiers import first_by_default
 
@@ -140,8 +139,7 @@ def test_an_unplugged_line_is_eio_for_the_loop_and_no_failure_of_the_simulation(
     link = fresh(Faults((FrameFault(kind=FaultKind.UNPLUG, direction=TO_DEVICE, frame=0),)))
     port = link.port()
     frame = Connection(m.Role.HOST).send(m.Identify(1, 0))
-    write = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 3)(port.write.__wrapper_address__())
-    assert write(0, ctypes.addressof(ctypes.create_string_buffer(frame)), len(frame)) == -errno.EIO
+    assert give(port.write, port.handle, np.frombuffer(frame, np.uint8).copy()) == -errno.EIO
     assert listen(port.read, port.wait, port.handle, np.zeros(8, np.uint8), 10**9) == -errno.EIO
     assert link.failure() is None
 

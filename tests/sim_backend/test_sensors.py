@@ -39,26 +39,12 @@ def test_counts_at_the_edges(position: float, offset: float, count: int) -> None
     assert encoder_count(position, 1.0, offset, 1) == count
 
 
-@given(st.floats(-30.0, 30.0, allow_subnormal=False))
-def test_the_sensor_rounds_like_the_command(current_a: float) -> None:
-    assert current_quanta(current_a, 1e-3) == command_quanta(current_a, 1e-3)
-
-
-@pytest.mark.parametrize(
-    ("current_a", "quanta"),
-    [
-        (0.5, 1),
-        (-0.5, 0),
-        (-0.51, -1),
-        (1e9, 32767),
-        (-1e9, -32767),
-        (math.inf, 32767),
-        (-math.inf, -32767),
-        (math.nan, 0),
-    ],
-)
-def test_current_at_halves_limits_and_beyond(current_a: float, quanta: int) -> None:
-    assert current_quanta(current_a, 1.0) == quanta
+@given(st.floats(-60.0, 60.0, allow_subnormal=False), st.sampled_from([1e-3, 1.0]))
+def test_the_sensor_rounds_and_saturates_like_the_command(current_a: float, quantum_a: float) -> None:
+    halves = round(2.0 * current_a / quantum_a) / 2.0 * quantum_a
+    for current in (current_a, halves):
+        assert current_quanta(current, quantum_a) == command_quanta(current, quantum_a)
+    assert [current_quanta(current, 1.0) for current in (math.inf, -math.inf, math.nan)] == [32767, -32767, 0]
 
 
 @given(

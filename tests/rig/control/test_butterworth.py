@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import signal
 
-from rig.control._butterworth import band_pass, high_pass, low_pass
+from rig.control._butterworth import band_pass, high_pass
 
 RATES = st.sampled_from([500.0, 1000.0, 2000.0, 3333.0, 20_000.0, 50_000.0])
 SHARES = st.floats(1e-3, 0.495)  # of the rate
@@ -18,12 +18,6 @@ def check(sections: Any, expected: Any) -> None:
     np.testing.assert_allclose(np.array(sections)[1:], expected[1:], rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(sections[0][:3], expected[0, :3], rtol=1e-12)
     np.testing.assert_allclose(sections[0][3:], expected[0, 3:], rtol=0.0, atol=1e-13)
-
-
-@given(st.integers(1, 8), SHARES, RATES)
-def test_a_low_pass(order: int, share: float, rate_hz: float) -> None:
-    expected = signal.butter(order, share * rate_hz, fs=rate_hz, output="sos")
-    check(low_pass(order, share * rate_hz, rate_hz), expected)
 
 
 @given(st.sampled_from([2, 4]), SHARES, RATES)
