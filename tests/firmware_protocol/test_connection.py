@@ -188,36 +188,6 @@ def test_through_all_states_and_back(pair: Pair) -> None:
     assert pair.host.session == pair.device.session == SESSION + 1
 
 
-def test_fault_stays_latched_until_an_explicit_clear(pair: Pair) -> None:
-    pair.bring_to(State.FAULT)
-    (answer,) = pair.ask(m.Disarm(9, 0))
-    assert isinstance(answer, Received)
-    assert isinstance(answer.message, m.Ack)
-    assert answer.message.status == Status.FAULT_LATCHED
-    assert pair.device.state is pair.host.state is State.FAULT
-    pair.ask(m.Disarm(10, m.DisarmFlag.CLEAR_FAULT), status=Status.FAULT_PRESENT)
-    assert pair.device.state is pair.host.state is State.FAULT
-
-
-def test_a_refused_request_moves_neither_end(pair: Pair) -> None:
-    pair.bring_to(State.CONFIGURED)
-    pair.ask(m.Arm(3, 1, 1), session=SESSION, status=Status.NOT_HOMED)
-    assert pair.device.state is pair.host.state is State.CONFIGURED
-    assert pair.device.session == pair.host.session == 0
-
-
-def test_the_last_session_cannot_be_armed_again(pair: Pair) -> None:
-    pair.bring_to(State.RUNNING)
-    pair.ask(m.Disarm(4, 0))
-    for session in (0, SESSION, 256):
-        with pytest.raises(LocalProtocolError):
-            pair.host.send(m.Arm(5, 1, 1), session=session)
-    for session in (0, SESSION):
-        (event,) = events(pair.device, encode_frame(pack(m.Arm(5, 1, 1), session=session)))
-        assert isinstance(event, Refused)
-        assert event.status is Status.STALE_SESSION
-
-
 def test_commands_of_another_session_are_dropped_and_counted(pair: Pair) -> None:
     pair.bring_to(State.ARMED)
     for session in (0, SESSION - 1, SESSION + 1):
@@ -297,24 +267,6 @@ def test_questions_are_executed_each_time_and_changes_of_another_host_too(pair: 
     assert len(pair.executed) == 7
 
 
-def test_an_unknown_request_is_unsupported_and_an_unknown_stream_only_counted(pair: Pair) -> None:
-    received = events(pair.device, encode_frame(HEADER.pack(m.MAJOR, 0x3E, 0, 4, 0) + b"\x34\x12future"))
-    assert received == [Refused(0x3E, 0x1234, 4, Status.UNSUPPORTED, 0)]
-    assert received[0].ack() == m.Ack(0x1234, 0x3E, Status.UNSUPPORTED, 0, 0, 0)
-    assert events(pair.device, encode_frame(HEADER.pack(m.MAJOR, 0x5E, 0, 4, 0) + b"\x34\x12future")) == []
-    assert events(pair.device, encode_frame(HEADER.pack(m.MAJOR, 0x3E, 0, 4, 0))) == []
-    assert pair.device.statistics.unknown_type == 3
-    assert events(pair.host, encode_frame(HEADER.pack(m.MAJOR, 0x3F, 0, 4, 0) + b"\x34\x12")) == []
-
-
-def test_a_request_of_impossible_length_is_answered_if_it_has_a_nonce(pair: Pair) -> None:
-    header = HEADER.pack(m.MAJOR, type_id_of(m.Identify), 0, 0, 0)
-    refused = Refused(type_id_of(m.Identify), 5, 0, Status.BAD_LENGTH, 0)
-    assert events(pair.device, encode_frame(header + b"\x05\x00")) == [refused]
-    assert events(pair.device, encode_frame(header + b"\x05")) == []
-    assert pair.device.statistics.malformed == 2
-
-
 def test_another_major_stops_the_host_with_both_numbers(pair: Pair) -> None:
     frame = encode_frame(HEADER.pack(m.MAJOR + 1, type_id_of(m.State), 0, 0, 0) + bytes(34))
     pair.host.receive_data(frame + encode_frame(pack(state_message(State.IDENTIFIED))))
@@ -322,16 +274,6 @@ def test_another_major_stops_the_host_with_both_numbers(pair: Pair) -> None:
         pair.host.next_event()
     assert (caught.value.ours, caught.value.theirs) == (m.MAJOR, m.MAJOR + 1)
     assert pair.host.next_event() is not None, "the frame is dropped, the connection continues"
-
-
-def test_the_device_answers_identify_of_any_major_and_drops_the_rest(pair: Pair) -> None:
-    pair.bring_to(State.CONFIGURED)
-    foreign = HEADER.pack(99, type_id_of(m.Identify), 0, 0, 0) + b"\x01\x00\x00\x00"
-    assert pair.answer(encode_frame(foreign))
-    arm = bytearray(pack(m.Arm(1, 1, 1), session=4))
-    arm[0] = 99
-    assert events(pair.device, encode_frame(bytes(arm))) == []
-    assert pair.device.statistics.foreign_major == 1
 
 
 def test_an_echo_is_counted_and_dropped(pair: Pair) -> None:
@@ -375,14 +317,6 @@ def test_losses_repeats_and_reordering_are_counted_round_the_circle(start: int, 
     assert statistics.lost == news[-1] - news[0] + 1 - len(news)
     assert statistics.duplicated == sum(a == b for a, b in zip(offsets[1:], newest, strict=True))
     assert statistics.reordered == sum(a < b for a, b in zip(offsets[1:], newest, strict=True))
-
-
-@pytest.mark.parametrize(("step", "delivered"), [(0x7FFF, True), (0x8000, False), (0xFFFF, False)])
-def test_half_of_the_circle_lies_ahead(pair: Pair, step: int, delivered: bool) -> None:
-    pair.bring_to(State.ARMED)
-    events(pair.device, command_frame(100))
-    assert bool(events(pair.device, command_frame((100 + step) & 0xFFFF))) == delivered
-    assert pair.device.statistics.reordered == (not delivered)
 
 
 def test_a_late_batch_is_still_delivered_but_not_twice_in_a_row(pair: Pair) -> None:
@@ -495,13 +429,3 @@ def test_open_requests_are_bounded(pair: Pair) -> None:
     for nonce in range(10 * OPEN_LIMIT):
         pair.host.send(m.GetTime(nonce, 0))
     assert len(pair.host._open_requests) == OPEN_LIMIT
-
-
-def test_reset_starts_anew_and_keeps_the_counters(pair: Pair) -> None:
-    pair.bring_to(State.RUNNING)
-    frames = pair.device.statistics.frames
-    pair.device.reset()
-    assert (pair.device.state, pair.device.session) == (State.BOOT, 0)
-    assert pair.device.statistics.frames == frames
-    assert events(pair.device, command_frame(9)) == []
-    assert pair.device.statistics.stale_session == 1
