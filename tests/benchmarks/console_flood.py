@@ -139,7 +139,6 @@ def measure_load(load: Any, options: argparse.Namespace, place: str) -> dict[str
 
 
 def main() -> int:
-    """Run the measurement and print it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=5.0, help="of each load")
     parser.add_argument("--rate", type=float, default=3000.0, help="connections a second")

@@ -92,8 +92,6 @@ class Case:
 
 @dataclass(frozen=True)
 class Found:
-    """The result of one trial."""
-
     alarm: bool  # the currents were reported to disagree
     over: bool  # over-current
     seconds: float | None  # from when a break could be seen to the end; None: it could not
@@ -188,7 +186,6 @@ def cases() -> Iterator[Case]:
 
 
 def line(case: Case, trials: int) -> str:
-    """Return a line of the table."""
     random = np.random.default_rng(0)
     walls = list(itertools.product(range(max(1, trials // 3)), STIFFNESS))
     by_lag = {lag: [trial(case.experiment(k), lag, seed, None, 0) for seed, k in walls] for lag in SHARES}
@@ -218,7 +215,6 @@ def line(case: Case, trials: int) -> str:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--trials", type=int, default=5, help="of each broken motor in a line")
     parser.add_argument("--preset", action="append", choices=presets.names(), help="default: all")

@@ -46,7 +46,6 @@ def largest(changes: dict[str, Any], settings: dict[str, str], ratio: float) -> 
 
 
 def main() -> None:
-    """Run the searches and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--ratio", type=float, default=1.06, help="between two stiffnesses that are tried")
     chosen = parser.parse_args()

@@ -100,12 +100,10 @@ class Case:
 
     @property
     def text(self) -> str:
-        """The name of the case in a table."""
         return f"{self.preset} {self.scheme} B={self.damping:g}{' held' if self.held else ''}"
 
     @property
     def rate(self) -> int:
-        """The rate of the position loop (Hz)."""
         return Scheme.parse(self.scheme).position_rate
 
 
@@ -167,7 +165,6 @@ class Span:
     tick_s: float
 
     def ticks(self, seconds: float) -> int:
-        """Return the number of whole ticks in a time."""
         return round(seconds / self.tick_s)
 
     def delays(self, pattern: Pattern, drawn: np.random.Generator) -> Ints:
@@ -421,7 +418,6 @@ def table(found: Group) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run the study and print its tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--series", type=int, default=SERIES, help="series of each case")
     parser.add_argument("--delay", type=int, default=0, help="ticks by which every command comes later")

@@ -38,7 +38,6 @@ ANSWERS = {"item, then enter:": "4\r", "[g] go": "g"}  # what is printed, and th
 
 
 def arguments() -> argparse.Namespace:
-    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--template", default="first-steps")
     parser.add_argument("--scheme", help="of all conditions, in place of the template's")
@@ -89,7 +88,6 @@ class Participant:
 
     @property
     def trials(self) -> list[Any]:
-        """Return the trials in the log so far."""
         return [event.content for event in read(self.log) if event.kind == "trial"]
 
 

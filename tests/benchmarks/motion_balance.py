@@ -35,14 +35,12 @@ def drawn(preset: str, draw: random.Random, stiffer: tuple[float, ...], damped: 
 
 
 def tick_of_change(place: str, rows: Any, rate: int) -> int:
-    """Return the tick at which the scale changes."""
     released, contact = int(rows["sample_index"][rows["phase"] == Phase.TRIAL][0]), contact_of(rows)
     places = {"halfway": (released + contact) // 2, "contact": contact, "rest": contact + round(0.15 * rate)}
     return places[place]
 
 
 def main() -> None:
-    """Print a row for each preset."""
     options = argparse.ArgumentParser()
     options.add_argument("--sound", type=int, default=25)
     options.add_argument("--changed", type=int, default=4)

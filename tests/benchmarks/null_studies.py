@@ -108,7 +108,6 @@ def fit(values: dict[Stratum, Floats], without: Sequence[Stratum] = (), *, reml:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print a row for each number of participants."""
     print("| participants |", " | ".join(FACTORS), "| intervals at a damping | over all dampings |")
     for people in [int(one) for one in arguments] or PEOPLE:
         drawn = np.random.default_rng(people)

@@ -44,7 +44,6 @@ def stable(hit: SimulatedHit, stiffness: float, damping: float) -> bool:
 
 
 def area(x: Experiment, grip: str, offset: float) -> float:
-    """Return the area of the walls that count."""
     ground, rungs = Ground.of(RIG), measure._search(RIG, grip).rungs
     return measure.area_under(measure.series(x, 0, offset, RIG, grip)["limits"], ground.dampings(), rungs[0])
 
@@ -67,7 +66,6 @@ def areas(estimator: str, changes: dict[str, Any], inertia: float | None) -> tup
 
 
 def row(name: str, changes: dict[str, Any], inertia: float | None = None) -> None:
-    """Print a row of the table."""
     every = {one: areas(one, changes, inertia) for one in (*PLAIN, OBSERVER)}
     own, cells = every[OBSERVER][1], []
     for grip in rule.CONDITIONS:
@@ -78,7 +76,6 @@ def row(name: str, changes: dict[str, Any], inertia: float | None = None) -> Non
 
 
 def main() -> None:
-    """Print the table."""
     print(f"| change | {' | '.join(rule.CONDITIONS)} | tuned |\n|---|---|---|---|---|---|", flush=True)
     row("inertia with the end mass in a hand", {}, WITH_END_MASS)
     for name, changes in CHANGES.items():

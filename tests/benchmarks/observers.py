@@ -59,7 +59,6 @@ def cases(spreads: Sequence[float] = SPREADS) -> list[tuple[str, float, float]]:
 
 
 def row_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
-    """Measure one row of the table."""
     found = _performance(case, THRESHOLD, sessions, seed)
     return {**_named(case), **{number: _round(getattr(found, number)) for number in NUMBERS}}
 
@@ -94,7 +93,6 @@ PARTS: dict[str, tuple[Callable[..., Row], Callable[[], list[tuple[str, float, f
 
 
 def make_table() -> dict[str, Any]:
-    """Measure all rows anew, on all processors."""
     made: dict[str, list[Row]] = {part: [] for part in PARTS}
     with ProcessPoolExecutor() as pool:
         for part, (measure, of) in PARTS.items():
@@ -105,7 +103,6 @@ def make_table() -> dict[str, Any]:
 
 
 def read_table() -> dict[str, Any]:
-    """Return the committed table."""
     return dict(json.loads(TABLE.read_text(encoding="utf-8")))
 
 

@@ -125,7 +125,6 @@ def experiment_of(seed: int) -> Experiment:
 
 
 def named_changes(checks: tuple[Check, ...]) -> dict[str, Any]:
-    """Return all changes that the failed checks recommend."""
     return {key: value for check in checks for key, value in check.changes.items()}
 
 
@@ -149,7 +148,6 @@ def reaches(experiment: Experiment, seed: int) -> tuple[bool, str]:
 
 
 def outcome(seed: int) -> Outcome:
-    """Plan a random rig, apply the recommended changes, and hit the wall."""
     try:
         experiment = experiment_of(seed)
     except ConfigError as error:

@@ -96,7 +96,6 @@ class OnOtherHardware(FirmwareDevice):
     """The firmware with hardware that it was not built for."""
 
     def stand_before(self, hardware: Hardware) -> None:
-        """Connect the firmware to other hardware than it was built for."""
         self.hardware = hardware
         self._truth = None
         self._pass_measurements()
@@ -130,7 +129,6 @@ def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
 
 
 def pulsed(experiment: Experiment, fault: Fault, at: float, recording: Path) -> Pulse:
-    """Send a torque pulse to a rig with a fault."""
     with faulty(experiment, fault, at) as framed:
         return pulse(framed, experiment, recording=recording, verified=True, reference_count=0)
 

@@ -44,7 +44,6 @@ COLUMNS = (
 
 
 def arguments() -> argparse.Namespace:
-    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--rate", type=int, help="ticks a second (default: the preset's)")
@@ -118,7 +117,6 @@ class Watch:
         self.late, self.before, self.cpu, self.minute_at, self.fullest = [], counters, cpu, now, 0
 
     def _summary(self, ring: Any) -> dict[str, Any]:
-        """Return the figures of the whole run."""
         total = np.cumsum(self.all_late)
         places = np.searchsorted(total, np.array([0.5, 0.99, 0.999]) * total[-1])
         return {
@@ -134,7 +132,6 @@ class Watch:
 
 
 def resident_mb() -> float:
-    """Return the resident memory of this process (MB)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 

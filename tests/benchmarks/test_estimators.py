@@ -84,7 +84,6 @@ def make_run(update: Any, state_f: Any, state_i: Any, parameters: Any, counts: A
 
 
 def run_ours(prepared: Any, counts: Any, out: Any) -> Any:
-    """Return a run of our estimator in the loop."""
     p = prepared
     return make_run(p.estimator.update, p.state_f, p.state_i, p.parameters, counts, out)
 

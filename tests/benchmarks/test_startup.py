@@ -20,7 +20,6 @@ from tests.benchmarks.realtime.workbench import FULL
 
 
 def shortest_time(count: Any, command: Any, **options: Any) -> Any:
-    """Return the shortest wall time of a command (s)."""
     times = []
     for _ in range(count):
         started = time.perf_counter()

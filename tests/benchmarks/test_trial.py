@@ -79,7 +79,6 @@ def build_c(directory: Path, *options: str) -> Any:
 
 
 def run_in_numba(law: Any, plant: Any, trace: Any) -> Any:
-    """Run one trial without a byte link from rest; return its number of ticks."""
     arguments = run_arguments(law, plant, plant.at_rest(0.0), 0.0, OLDEST_EDGE, OperatorScript.silent())
     return run_ticks(*arguments, trace)
 

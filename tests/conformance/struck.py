@@ -20,9 +20,7 @@ from tests.conformance.trials import trial_on
 class Struck(Protocol):
     """A device with a script of faults."""
 
-    def open(self) -> AbstractContextManager[FramedDevice]:
-        """Open the device as a host does."""
-        ...
+    def open(self) -> AbstractContextManager[FramedDevice]: ...
 
     def wait_for_rest(self) -> None:
         """Advance time until no effort is permitted, and check that it is zero then and later."""

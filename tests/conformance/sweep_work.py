@@ -46,7 +46,6 @@ def odd_values(payload: Payload) -> dict[str, Any]:
 
 
 def leave_a_mark(payload: Payload) -> str:
-    """Record in a file that this task was run."""
     with open(payload["log"], "a") as file:
         file.write(f"{payload['name']}\n")
     time.sleep(payload.get("wait_s", 0.0))
@@ -88,7 +87,6 @@ def wait_for_ever(payload: Payload) -> None:
 
 
 def large(payload: Payload) -> str:
-    """Return a text of the requested length."""
     return "x" * int(payload["letters"])
 
 

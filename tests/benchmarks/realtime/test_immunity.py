@@ -38,7 +38,6 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextlib.contextmanager
 def busy() -> Iterator[None]:
-    """Run all load generators of this benchmark."""
     with workbench.processor_hogs(len(workbench.CPUS)), workbench.interpreter_hogs():
         yield
 

@@ -87,7 +87,6 @@ def open_pty() -> Iterator[tuple[Wire, int]]:
 
 @contextlib.contextmanager
 def open_socket_pair() -> Iterator[tuple[Wire, int]]:
-    """Yield a link over a pair of stream sockets."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.settimeout(1.0)
@@ -99,8 +98,6 @@ LINKS = {"pty": open_pty, "socket pair": open_socket_pair}
 
 
 class Contest:
-    """The contestants on one link with a running far end."""
-
     def __init__(self, wire: Wire, client: str, priority: int) -> None:
         self.wire, self.client, self.priority = wire, client, priority
         self._marker = 0
@@ -171,7 +168,6 @@ class Contest:
 
 @contextlib.contextmanager
 def contest(link: str, programs: dict[str, str], priority: int) -> Iterator[Contest]:
-    """Open a link and start the far end behind it."""
     with LINKS[link]() as (wire, far):
         command = [*LEASH, programs["far_end"], str(far), str(priority), str(-RATE)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[far], text=True) as process:

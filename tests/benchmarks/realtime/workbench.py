@@ -154,7 +154,6 @@ def pushing_for_ever(rate: int) -> ControllerState:
 
 
 def command_frame(sequence: int) -> bytes:
-    """Return the frame of a COMMAND of zero current."""
     command = m.Command(state_sequence=0, lifetime_us=5000, mode=m.Mode.STOP, flags=0, current=0)
     return encode_frame(pack(command, session=SESSION, sequence=sequence))
 
@@ -258,13 +257,11 @@ def python_lateness(rate: int, seconds: float) -> np.ndarray:
 
 
 def quantiles(values: np.ndarray) -> tuple[float, float, float, float]:
-    """Return p50, p99, p99.9 and the maximum."""
     p50, p99, p999 = np.quantile(values, (0.5, 0.99, 0.999), method="higher")
     return float(p50), float(p99), float(p999), float(np.max(values))
 
 
 def medians(rounds: Sequence[Sequence[float]]) -> list[float]:
-    """Return the median of each column over the rounds."""
     return [statistics.median(column) for column in zip(*rounds, strict=True)]
 
 

@@ -259,8 +259,6 @@ def record(derivative: Any, state: Any, realisation: Any, *, settle: int = 2) ->
 
 @pytest.fixture(scope="module")
 def damped() -> Any:
-    """Return records of a mass with a damper."""
-
     def derivative(y: Any, u: Any) -> Any:
         return (y[1], (u - DAMPING * y[1]) / MASS)
 

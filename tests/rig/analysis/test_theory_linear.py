@@ -155,7 +155,6 @@ def test_an_estimator_of_the_effort_is_the_sum_of_two_state_spaces(
 
 
 def idle(travel: float, elapsed_s: float, effort: float) -> float:
-    """A user's estimator with the effort as an argument that it does not use."""
     return travel / elapsed_s
 
 

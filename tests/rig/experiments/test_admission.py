@@ -185,7 +185,6 @@ def by_session(output: Path, x: config.Experiment, changes: dict[str, Any]) -> N
 
 
 def by_measurement(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
-    """Request admission as maps on a rig and impedance measurements do."""
     Trials(OnDevice(url=URL, recordings=output, verified=True), None, None).run(x, changes)
 
 

@@ -331,7 +331,6 @@ def test_every_motion_is_a_recording_with_its_kind_and_law(chawda: Any) -> None:
 
 
 def simulate(x: Any, law: Any, start: float, seconds: float) -> Any:
-    """Simulate a motion without a link."""
     rate = x.controller.position_rate
     plant = DiscretePlant.build(config.rig_model(x), 1.0 / rate)
     quantum = x.rig.amplifier.current_quantum_a

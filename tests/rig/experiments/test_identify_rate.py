@@ -1,5 +1,6 @@
 """The rate of an identification, chosen from a link whose delay and losses the test supplies."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +11,9 @@ from rig.config import presets
 from rig.config.controller import command_lifetime_s, rate_of_lifetime
 from rig.core.errors import PlanError
 from rig.doctor._ping import EXCHANGE
-from rig.doctor._round_trip import LinkMeasurement
 from rig.experiments.identification._identify_rate import at_rate, choose_rate
 from rig.experiments.motion._motion_run import SLOWEST_HZ, TimingError, advice, repeat_if_late
-from rig.recording.quantiles import Distribution
+from tests.conformance import made_links
 
 RIG = presets.load("koul-rigid")
 RATE = 1000  # of the questions
@@ -27,13 +27,8 @@ def link(travel_s: float, *, silences_s: tuple[float, ...] = (), capacity: float
         received[(place + 1) * number // (len(silences_s) + 1) :] += 1e9 * silence_s
     exchanges = np.zeros((number, len(EXCHANGE)), np.int64)
     exchanges[:, EXCHANGE.host_received] = received
-    times = Distribution.of(np.full(number, travel_s))
-    return LinkMeasurement(
-        url="serial:///dev/test", virtual=False, simulated=True, duration_s=received[-1] * 1e-9, asked_rate_hz=RATE,
-        sent=number, lost=0, late=0, unsent=0, bad_frames=0, round_trip_s=times, travel_s=times, stamps_trusted=True,
-        bytes_to_device_per_s=0.0, bytes_to_host_per_s=0.0, capacity_bytes_per_s=capacity, states=0,
-        exchanges=exchanges,
-    )  # fmt: skip
+    measured = made_links.link(travel_s, number=number, capacity=capacity, duration_s=received[-1] * 1e-9)
+    return replace(measured, asked_rate_hz=RATE, sent=number, exchanges=exchanges)
 
 
 @pytest.mark.parametrize(
