@@ -49,12 +49,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--rate", type=int, help="ticks a second (default: the preset's)")
     parser.add_argument("--url", default="sim://", help="a device (default: a simulated one)")
     parser.add_argument("--preset", default="koul-compliant", help="experiment")
-    parser.add_argument(
-        "--verified", action="store_true", help="vouch for a real rig, as rig hit --verified does"
-    )
-    parser.add_argument(
-        "--busy", action="store_true", help="a GIL hog, a garbage maker and a CPU hog beside it"
-    )
+    parser.add_argument("--verified", action="store_true", help="as rig hit --verified, for a real rig")
+    parser.add_argument("--busy", action="store_true", help="a GIL, a garbage and a CPU hog beside it")
     parser.add_argument("--output", type=Path, help="directory of the recording, which is kept then")
     return parser.parse_args()
 

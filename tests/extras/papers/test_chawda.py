@@ -181,10 +181,8 @@ def test_without_a_wall_the_error_is_the_rigs_own_impedance() -> None:
 
 
 def test_undamped_walls_hold_twice_the_damping_over_the_period() -> None:
-    rig = config.excited(rigs.excited_rig(rigs.QUICK))
-    payload = chawda_parts.control_payload(
-        rig, rigs.SCHEMES["FDM+filter"], chawda.CONTROL_SEARCH, (1.0, 400.0)
-    )
+    x, scheme = config.excited(rigs.excited_rig(rigs.QUICK)), rigs.SCHEMES["FDM+filter"]
+    payload = chawda_parts.control_payload(x, scheme, chawda.CONTROL_SEARCH, (1.0, 400.0))
     found = chawda_parts.control(payload)
     assert found["stiffness"] == pytest.approx(26_400.0, rel=0.03)
     alone = chawda_parts.fidelity_without_wall(0.52, 13.2, (1.0, 400.0))

@@ -111,9 +111,7 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> Any:
     def add(estimator: Any) -> None:
         known = estimators.get
         for module in (estimators, family):
-            monkeypatch.setattr(
-                module, "get", lambda name: estimator if name == estimator.name else known(name)
-            )
+            monkeypatch.setattr(module, "get", lambda n: estimator if n == estimator.name else known(n))
 
         def run(prepared: Any, counts: Any, ages: Any, elapsed: Any) -> Any:
             memory = (prepared.state_f, prepared.state_i, prepared.parameters)

@@ -34,10 +34,8 @@ SHORT = {"trial.duration_s": 0.2, "trial.release_s": 0.02, "homing.settle_s": 0.
 
 @pytest.fixture(scope="module")
 def uncut(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    experiment = config.override(presets.load("koul-compliant"), SHORT)
-    (done,) = hit(
-        HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("whole"), name="one"), admit
-    )
+    x, output = config.override(presets.load("koul-compliant"), SHORT), tmp_path_factory.mktemp("whole")
+    (done,) = hit(HitRequest(experiment=x, output=output, name="one"), admit)
     return done.recording
 
 

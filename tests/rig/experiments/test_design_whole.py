@@ -50,9 +50,8 @@ def test_a_scheme_that_a_hit_rules_out_misses_that_measure_in_its_map(
     paper = PaperSchemes(schemes=(papers,), measures=rules.OF_A_PAPER)
     monkeypatch.setattr(PaperSchemes, "of", lambda _: paper)
     (found,) = whole.against_paper(X, [candidate(one) for one in LISTED], Sweeper())
-    everything = whole._Whole(X, paper, Sweeper())._map_whole(
-        "all", [candidate(one) for one in LISTED if one != papers]
-    )
+    others = [candidate(one) for one in LISTED if one != papers]
+    everything = whole._Whole(X, paper, Sweeper())._map_whole("all", others)
     assert found.paper.values["undamped"] > 0.0
     good = [one for one in everything if not one.misses(found.paper)]
     assert found.listed == len(everything) == len(LISTED) - 1

@@ -81,9 +81,8 @@ def test_a_motion_that_timing_spoils_is_repeated_in_real_time_alone() -> None:
 
         return run
 
-    real, virtual = (
-        SimpleNamespace(link=SimpleNamespace(clock=SimpleNamespace(virtual=v))) for v in (False, True)
-    )
+    clocks = (SimpleNamespace(virtual=virtual) for virtual in (False, True))
+    real, virtual = (SimpleNamespace(link=SimpleNamespace(clock=clock)) for clock in clocks)
     assert repeat_if_late(real, after(3), 1000) == ("done", 3)
     for device, late in ((real, 4), (virtual, 1)):
         with pytest.raises(TimingError):

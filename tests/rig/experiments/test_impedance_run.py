@@ -258,9 +258,8 @@ def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: A
         rows = rows[rows["phase"] == Phase.TRIAL]
         bench = excitation_run.ExcitedRig(x, acquisition_hz=1000.0)
         wall = asdict(replace(excited.wall, stiffness=10e3, damping=10.0))
-        fresh = replace(
-            bench._template.fresh(wall), law=excitation_run.excited_law(excited, number).prepare(wall)
-        )
+        law = excitation_run.excited_law(excited, number).prepare(wall)
+        fresh = replace(bench._template.fresh(wall), law=law)
         excited_plant = devices.excited_simulation()(model, 1e-3, 1000.0, len(rows))
         run = excited_plant.excite(fresh, 0.0, np.zeros(1), 0.0, len(rows))
         assert (rows["count"] == run.counts).all()
@@ -311,9 +310,8 @@ def test_recordings_of_no_wall_or_of_two_are_no_measurement(on_device: Any, tmp_
     x, result = on_device
     with pytest.raises(ConfigError, match="of 0 walls or schemes; recordings of one wall with"):
         rig.read_impedance([])
-    (other,) = rig.impedance(
-        x, [(5e3, 10.0)], url="sim://", output=tmp_path, excitation={"realisations": 1, "seed": 5}
-    )
+    once = {"realisations": 1, "seed": 5}
+    (other,) = rig.impedance(x, [(5e3, 10.0)], url="sim://", output=tmp_path, excitation=once)
     with pytest.raises(ConfigError, match="of 2 walls or schemes; recordings of one wall with"):
         rig.read_impedance([*result.recordings, *other.recordings])
     with pytest.raises(ConfigError, match="signal = 'truth' cannot be used with a device"):

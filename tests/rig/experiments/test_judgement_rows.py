@@ -112,9 +112,8 @@ def test_a_wall_that_was_rendered_elsewhere_is_judged_by_its_own_effort_without_
     rows = recording.rows.copy()
     rows["effort_applied"] *= 0.5
     extra = {**recording.header["extra"], "loop": "device", "arithmetic": "drive"}
-    found = judge(
-        replace(recording, rows=rows, header={**recording.header, "extra": extra}), result.experiment
-    )
+    elsewhere = replace(recording, rows=rows, header={**recording.header, "extra": extra})
+    found = judge(elsewhere, result.experiment)
     assert found.verdict.peak_effort == pytest.approx(float(np.abs(rows["effort_applied"]).max()))
     assert found.motion is None
 

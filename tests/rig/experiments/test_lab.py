@@ -47,9 +47,9 @@ def test_a_preset_a_file_and_an_experiment_give_the_same_hit(tmp_path: Path) -> 
 
 def test_settings_have_the_names_of_keys_and_a_wrong_one_names_those_that_are_near() -> None:
     loaded = rig.load(
-        "koul-rigid", damping=0.25, position_rate=1000, velocity_rate=500, operator="firm", seed=7
+        "koul-rigid", damping=0.25, position_rate=500, velocity_rate=500, operator="firm", seed=7
     )
-    assert (loaded.wall.damping, loaded.controller.position_rate, loaded.trial.seed) == (0.25, 1000, 7)
+    assert (loaded.wall.damping, loaded.controller.position_rate, loaded.trial.seed) == (0.25, 500, 7)
     assert (loaded.trial.kind, loaded.operator.grip) == ("human", "firm")
     assert rig.load(loaded, operator="none").trial.kind == "constant-effort"
     assert rig.load(loaded, changes={"wall.position": 0.01}).wall.position == 0.01
@@ -154,9 +154,7 @@ def test_a_name_in_use_and_a_value_that_is_no_part_are_refused() -> None:
         rig.plan("koul-compliant", estimator=replace(blend(), name="fdm"))
     with pytest.raises(ConfigError, match=r"'bilateral' is already the name of a built-in"):
         rig.hit("koul-compliant", law=replace(stiffening(), name="bilateral"))
-    with pytest.raises(
-        ConfigError, match=r"law is of type int; it must be a name.*; give a name, .*@rig.law"
-    ):
+    with pytest.raises(ConfigError, match=r"law is of type int; it must be a name.*@rig.law"):
         rig.hit(law=3)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"estimator is of type PlainLaw; it must be a name"):
         rig.plan(estimator=stiffening())  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -186,9 +187,8 @@ def test_the_loop_is_watched_until_it_has_taken_the_change(ring: Ring) -> None:
 
 
 def test_a_loop_that_ends_before_it_takes_the_change_is_reported_as_ended(ring: Ring) -> None:
-    done = live.change_wall(
-        {"stiffness": 400.0}, patience_s=20, posted=lambda n: ring.put(control_words.LOOP_DONE, 1)
-    )
+    end = partial(ring.put, control_words.LOOP_DONE)
+    done = live.change_wall({"stiffness": 400.0}, patience_s=20, posted=end)
     assert (done.active, done.ended) == (False, True)
 
 

@@ -78,9 +78,8 @@ def test_a_pulse_is_small_and_recorded(sound: Pulse) -> None:
 
 
 # By default one fault of scale, and all of direction and motion.
-NAMED = sorted(
-    (name for name, fault in FAULTS.items() if fault.named and "½" not in name), key=lambda x: "×" in x
-)
+NAMED = [name for name, fault in FAULTS.items() if fault.named and "½" not in name]
+NAMED.sort(key=lambda name: "×" in name)
 
 
 @pytest.mark.parametrize(
@@ -151,9 +150,8 @@ def test_the_most_effort_moves_the_described_rig() -> None:
 
 
 def person_request(device: FramedDevice, output: Path, **others: Any) -> HitRequest:
-    return HitRequest(
-        **{"experiment": PERSON, "device": device, "verified": True, "output": output, **others}
-    )
+    given: dict[str, Any] = {"experiment": PERSON, "device": device, "output": output, **others}
+    return HitRequest(verified=True, **given)
 
 
 class FaultingDevice(FirmwareDevice):

@@ -108,10 +108,8 @@ def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
         assert found.switch_position is not None
         # The simulated switch stands half of the way between two indices before the index.
         away = 1.0 if end == "minimum" else -1.0
-        one = x.rig.encoder.resolution
-        assert away * (position - found.switch_position) == pytest.approx(
-            0.5 * EVERY * one, abs=3 * one + look
-        )
+        one, beyond = x.rig.encoder.resolution, away * (position - found.switch_position)
+        assert beyond == pytest.approx(0.5 * EVERY * one, abs=3 * one + look)
         limits = x.rig.limits
         assert limits.position_minimum < found.position < limits.position_maximum
         assert all(last_effort(path) == 0.0 for path in found.recordings)

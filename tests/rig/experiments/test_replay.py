@@ -72,9 +72,8 @@ def test_a_run_whose_estimator_knows_the_effort_replays_exactly_over_gaps(tmp_pa
     dropped = {"kind": FaultKind.DROP, "direction": Direction.TO_HOST}
     # In the trial, whether the host reads the dictionary first or knows it.
     faults = Faults(frames=tuple(FrameFault(**dropped, frame=frame) for frame in range(150, 180, 7)))
-    recording = record_trial(
-        tmp_path, config.override(SHORT, {"controller.estimator": "disturbance"}), faults=faults
-    )
+    x = config.override(SHORT, {"controller.estimator": "disturbance"})
+    recording = record_trial(tmp_path, x, faults=faults)
     assert (recording.rows["flags"] & int(RowFlag.GAP)).any()
     assert_exact(replay(recording))
 

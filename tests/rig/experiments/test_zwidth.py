@@ -69,9 +69,8 @@ def test_without_friction_and_quantum_the_limit_is_that_of_linear_theory(scheme:
     experiment, of = config.override(presets.load("koul-compliant"), LINEAR), Scheme.parse(scheme)
     expected = theory.k_max(experiment, of, damping).stiffness
     search = StiffnessSearch(way="bisection", lowest=0.7 * expected, highest=1.3 * expected, ratio=1.02)
-    found = zwidth(
-        MapPlan(experiment=experiment, schemes=(of,), dampings=(damping,), search=search, offsets=(0.1,))
-    )
+    one = {"schemes": (of,), "dampings": (damping,), "offsets": (0.1,)}
+    found = zwidth(MapPlan(experiment=experiment, search=search, **one))
     (limit,) = found.curve(0, "heard")
     assert limit.capped == 0
     assert limit.stiffness == pytest.approx(expected, rel=0.04)

@@ -31,9 +31,8 @@ CHAWDA = presets.load("chawda-linear")
 LINEAR = config.override(
     CHAWDA, LINEAR_RIG | {"excitation.high_hz": 250.0, "excitation.rms": 0.02, "excitation.periods": 2}
 )
-SHORT = config.override(
-    CHAWDA, {"excitation.periods": 2, "excitation.settle_periods": 1, "excitation.realisations": 2}
-)
+TWICE = {"excitation.periods": 2, "excitation.settle_periods": 1, "excitation.realisations": 2}
+SHORT = config.override(CHAWDA, TWICE)
 FDM, FILTERED = "uniform:1k,estimator=fdm", "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499"
 
 

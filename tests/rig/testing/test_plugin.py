@@ -73,9 +73,8 @@ def test_the_first_failing_frame_is_named_with_the_count_of_all() -> None:
 
     with pytest.raises(AssertionError, match="not these") as failed:
         with_every_frame(test, hits, ["drop", "delay"], "host")()
-    assert failed.value.__notes__ == [
-        "rig_every_frame: 4 of 12 faults fail; the first: drop of frame 3 to host"
-    ]
+    note = "rig_every_frame: 4 of 12 faults fail; the first: drop of frame 3 to host"
+    assert failed.value.__notes__ == [note]
 
 
 @pytest.mark.parametrize(
@@ -144,9 +143,8 @@ def test_recordings_are_kept_as_asked_and_listed(suite: pytest.Pytester, mode: s
     result = suite.runpytest_inprocess("--rig-record", mode)
     result.assert_outcomes(passed=1, failed=1)
     place = suite.path / "rig-recordings"
-    assert sorted(path.parent.name for path in place.glob("*/*.parquet")) == [
-        f"test_it.py_test_{name}" for name in kept
-    ]
+    found = sorted(path.parent.name for path in place.glob("*/*.parquet"))
+    assert found == [f"test_it.py_test_{name}" for name in kept]
     assert place.exists() == bool(kept)
     assert (f"recordings of {len(kept)} tests: {place}" in result.stdout.str()) == bool(kept)
 
