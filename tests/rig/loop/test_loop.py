@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,9 @@ from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.realtime.ring import Ring
+from rig.recording.reader import open_recording
+from rig.recording.recorder import Recorder
+from tests.conformance.recording import example_header
 
 SESSION = 7
 PERIOD_NS = 1_000_000
@@ -542,30 +546,12 @@ def test_in_real_time_a_full_ring_drops_rows_and_counts_them(recorder_error: int
     assert memory.rows["tick"].tolist() == list(range(8))
 
 
-def test_in_virtual_time_the_loop_waits_for_the_recorder() -> None:
-    memory = Ring.allocate(8)
-    seen = []
-
-    def recorder() -> None:
-        tail = 0
-        deadline = time.monotonic() + WAIT_S
-        while not memory.get(control_words.LOOP_DONE) and time.monotonic() < deadline:
-            head = memory.get(control_words.HEAD)
-            assert head - tail <= 8
-            seen.extend(memory.rows["tick"][[k % 8 for k in range(tail, head)]].tolist())
-            tail = head
-            memory.put(control_words.TAIL, tail)
-            time.sleep(0.001)
-        seen.extend(
-            memory.rows["tick"][[k % 8 for k in range(tail, memory.get(control_words.HEAD))]].tolist()
-        )
-
-    thread = threading.Thread(target=recorder)
-    thread.start()
-    _, end = ran(Script(*ticks(1, 100)), memory=memory, wait_for_room=True)
-    thread.join(WAIT_S)
+def test_in_virtual_time_the_loop_waits_for_the_recorder(tmp_path: Path) -> None:
+    memory, path = Ring.allocate(8), tmp_path / "trial.rigcap"
+    with Recorder(path, example_header(), memory, virtual=True):
+        _, end = ran(Script(*ticks(1, 100)), memory=memory, wait_for_room=True)
     assert end.counters["rows_dropped"] == 0
-    assert seen == list(range(99))
+    assert open_recording(path).column("tick").tolist() == list(range(99))
 
 
 # ---------------------------------------------------------------------- the host's own beat

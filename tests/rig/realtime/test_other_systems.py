@@ -76,18 +76,6 @@ def test_foreign_memory_and_a_full_disk_are_refused(
     assert os.listdir(elsewhere / str(os.getpid())) == [named_memory.ALIVE]
 
 
-def test_two_starts_at_once_wait_for_each_other_briefly(
-    elsewhere: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(named_memory, "_PATIENCE_S", 0.05)
-    elsewhere.mkdir(parents=True)
-    with open(elsewhere / "lock", "ab") as held:
-        assert named_memory.locks.lock(held.fileno())
-        begun = time.monotonic()
-        Ring.allocate(10, shared=True).close()
-        assert time.monotonic() - begun >= 0.05
-
-
 HOME = os.path.expanduser("~")
 
 

@@ -10,7 +10,7 @@ import pytest
 from rig import config
 from rig.core.errors import ConfigError, LawError, LinkLostError, PlanError, RigError, StoppedError
 from rig.session.engine._conduct import conduct
-from rig.session.engine._desk import Desk, DeskView, Question, Reply
+from rig.session.engine._desk import Reply
 from rig.session.engine._directory import LOG, resume
 from rig.session.engine._hits import DeviceRunner
 from rig.session.engine._log import Event, read
@@ -53,20 +53,11 @@ def test_a_hit_that_breaks_is_logged_with_its_heat_before_the_session_ends(
     )
 
 
-class Breaks(Desk):
-    def __init__(self, error: Exception) -> None:
-        self.error = error
-
-    def show(self, view: DeskView) -> None:
-        pass
-
-    def ask(self, question: Question) -> Reply:
-        return Reply(action="go")
-
+class Breaks(ScriptedDesk):
     def watch(self) -> Callable[[int, int], None]:
         def watch(ticks: int, phase: int) -> None:
             if ticks:
-                raise self.error
+                raise KeyError("a bug of the console")
 
         return watch
 
@@ -87,13 +78,12 @@ def quick_protocol() -> Protocol:
 
 def test_a_desk_that_breaks_in_a_hit_loses_no_trial(tmp_path: Path) -> None:
     """On the simulated rig the loop stops, and the recording is sealed, judged and logged."""
-    error = KeyError("a bug of the console")
     with (
         started(tmp_path / "P01", quick_protocol()) as session,
         pytest.raises(RigError, match="trial 1 ended by an error"),
     ):
         # The device in Python: the compiled one hits the wall before the desk is called.
-        conduct(session, DeviceRunner(url="sim://?firmware=0"), Breaks(error))
+        conduct(session, DeviceRunner(url="sim://?firmware=0"), Breaks())
     (trial,) = (event.content for event in events_of(tmp_path / "P01") if event.kind == "trial")
     assert (tmp_path / "P01" / trial["recording"]).is_file()
     assert (trial["ended"], trial["automatic"]) == ("stopped", "invalid")
