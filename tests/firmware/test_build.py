@@ -184,9 +184,7 @@ def test_the_same_inputs_give_the_same_bytes_wherever_board_and_compiler_work(
     assert os.fsencode(FIRMWARE) not in again.elf.read_bytes()
 
 
-def test_without_a_compiler_it_says_what_to_install(
-    model: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_compiler_is_named(model: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv(COMPILER_VARIABLE, raising=False)
     with pytest.raises(ToolchainError, match="apt install gcc-arm-none-eabi libnewlib-arm-none-eabi"):

@@ -1,6 +1,7 @@
 """The core with board hardware that a simulated device lacks: clock, timer, encoder, watchdog."""
 
 import ctypes
+from ctypes import CDLL
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ POLL_BYTES = 64
 
 
 class Board(supervised.Board):
-    def __init__(self, library: ctypes.CDLL, model: RigModel | None = None) -> None:
+    def __init__(self, library: CDLL, model: RigModel | None = None) -> None:
         super().__init__(library, model or rotary_rig())
 
     def tick(self, current: int | None = None, missed: int = 0) -> m.State | None:  # type: ignore[override]
@@ -50,7 +51,7 @@ def seen(state: m.State | None) -> m.State:
 
 
 def test_a_board_drives_after_each_sample_and_feeds_its_watchdog_in_the_tick_alone(
-    library: ctypes.CDLL,
+    library: CDLL,
 ) -> None:
     board = Board(library).begin()
     fed = board.core.status.feeds
@@ -62,7 +63,7 @@ def test_a_board_drives_after_each_sample_and_feeds_its_watchdog_in_the_tick_alo
     assert board.core.status.feeds == fed + 2
 
 
-def test_worst_execution_time_since_arming_is_reported_and_saturates(library: ctypes.CDLL) -> None:
+def test_worst_execution_time_since_arming_is_reported_and_saturates(library: CDLL) -> None:
     board = Board(library).begin(position_rate=200)
     board.library.host_set_clock(board.core.address, board.core.status.time, 10)
     board.tick(0)
@@ -77,7 +78,7 @@ def test_worst_execution_time_since_arming_is_reported_and_saturates(library: ct
     assert board.core.status.fault == Fault.NONE
 
 
-def test_a_tick_longer_than_its_period_is_an_overrun(library: ctypes.CDLL) -> None:
+def test_a_tick_longer_than_its_period_is_an_overrun(library: CDLL) -> None:
     board = Board(library).begin()
     board.tick(100)
     assert board.core.status.current == 100
@@ -87,7 +88,7 @@ def test_a_tick_longer_than_its_period_is_an_overrun(library: ctypes.CDLL) -> No
     assert (status.fault, status.current, status.enabled) == (Fault.TICK_OVERRUN, 0, 0)
 
 
-def test_missed_ticks_are_counted_and_show_as_lost_states(library: ctypes.CDLL) -> None:
+def test_missed_ticks_are_counted_and_show_as_lost_states(library: CDLL) -> None:
     board = Board(library).begin()
     before = seen(board.tick(10))
     state = seen(board.tick(10, missed=1))
@@ -97,7 +98,7 @@ def test_missed_ticks_are_counted_and_show_as_lost_states(library: ctypes.CDLL) 
     assert state.fault == Fault.NONE
 
 
-def test_late_tick_is_not_a_missed_one(library: ctypes.CDLL) -> None:
+def test_late_tick_is_not_a_missed_one(library: CDLL) -> None:
     board = Board(library).begin()
     before = seen(board.tick(10))
     board.late = PERIOD - 1
@@ -105,7 +106,7 @@ def test_late_tick_is_not_a_missed_one(library: ctypes.CDLL) -> None:
     assert (state.missed_ticks, state.sample_index) == (0, before.sample_index + 1)
 
 
-def test_two_missed_ticks_in_succession_end_an_armed_run(library: ctypes.CDLL) -> None:
+def test_two_missed_ticks_in_succession_end_an_armed_run(library: CDLL) -> None:
     board = Board(library)
     board.tick()
     board.tick(missed=7)
@@ -118,7 +119,7 @@ def test_two_missed_ticks_in_succession_end_an_armed_run(library: ctypes.CDLL) -
     assert (board.core.status.current, board.core.status.enabled) == (0, 0)
 
 
-def test_a_flag_says_when_more_than_ten_ticks_are_missed_within_a_second(library: ctypes.CDLL) -> None:
+def test_a_flag_says_when_more_than_ten_ticks_are_missed_within_a_second(library: CDLL) -> None:
     board = Board(library).begin()
     board.tick(0)
 
@@ -136,9 +137,7 @@ def test_a_flag_says_when_more_than_ten_ticks_are_missed_within_a_second(library
 @pytest.mark.parametrize(
     ("rate", "bite_us"), [(100, 50_000), (1_000, 5_000), (2_000, 2_500), (20_000, 2_000)]
 )
-def test_an_armed_device_lets_the_hardware_watchdog_bite_early(
-    library: ctypes.CDLL, rate: int, bite_us: int
-) -> None:
+def test_an_armed_device_lets_its_watchdog_bite_early(library: CDLL, rate: int, bite_us: int) -> None:
     board = Board(library)
     board.tick()
     assert board.core.status.bite_us == 40_000
@@ -150,7 +149,7 @@ def test_an_armed_device_lets_the_hardware_watchdog_bite_early(
     assert board.core.status.bite_us == 40_000
 
 
-def test_it_enters_its_boot_loader_when_asked_and_not_armed(library: ctypes.CDLL) -> None:
+def test_it_enters_its_boot_loader_when_asked_and_not_armed(library: CDLL) -> None:
     board = Board(library)
     board.ask(m.Identify(1, 0))
     question = m.EnterBootloader(2)
@@ -169,7 +168,7 @@ def test_it_enters_its_boot_loader_when_asked_and_not_armed(library: ctypes.CDLL
     assert board.core.status.state == State.BOOT
 
 
-def test_cause_of_the_last_reset_is_reported(library: ctypes.CDLL) -> None:
+def test_cause_of_the_last_reset_is_reported(library: CDLL) -> None:
     board = Board(library)
     board.ask(m.Identify(1, 0))
     for place, fault in ((0x2000_1234, Fault.PROCESSOR_STOPPED), (0, Fault.WATCHDOG_RESET)):
@@ -180,7 +179,7 @@ def test_cause_of_the_last_reset_is_reported(library: ctypes.CDLL) -> None:
 
 
 def test_a_main_loop_that_stands_for_20_ms_ends_the_run_and_starves_the_watchdog(
-    library: ctypes.CDLL,
+    library: CDLL,
 ) -> None:
     board = Board(library).begin()
     board.tick(100)
@@ -195,7 +194,7 @@ def test_a_main_loop_that_stands_for_20_ms_ends_the_run_and_starves_the_watchdog
         assert status.feeds == fed + min(tick, RATE // 50)
 
 
-def test_a_timer_beside_the_grid_draws_the_grid_along(library: ctypes.CDLL) -> None:
+def test_a_timer_beside_the_grid_draws_the_grid_along(library: CDLL) -> None:
     # The end of a tick is judged within half a period, however far the timer has drifted.
     board = Board(library).begin()
     for late in (0, PERIOD // 2, PERIOD // 2 + 1, 3 * PERIOD):
@@ -205,14 +204,14 @@ def test_a_timer_beside_the_grid_draws_the_grid_along(library: ctypes.CDLL) -> N
         assert abs(status.due - status.time - PERIOD) <= PERIOD // 2
 
 
-def test_an_edge_that_is_younger_than_the_sample_is_not_in_the_future(library: ctypes.CDLL) -> None:
+def test_an_edge_that_is_younger_than_the_sample_is_not_in_the_future(library: CDLL) -> None:
     board = Board(library).begin()
     board.edge_time = 2**40
     state = seen(board.tick(0))
     assert state.edge_time == state.device_time
 
 
-def test_an_old_edge_never_looks_fresh(library: ctypes.CDLL) -> None:
+def test_an_old_edge_never_looks_fresh(library: CDLL) -> None:
     board = Board(library)
     board.ask(m.Identify(1, 0))
     board.late = 300 * 16_000_000
@@ -225,7 +224,7 @@ def test_an_old_edge_never_looks_fresh(library: ctypes.CDLL) -> None:
 # ---------------------------------------------------------------------- hardware
 
 
-def test_encoder_failure_is_a_fault_before_arming_too(library: ctypes.CDLL) -> None:
+def test_encoder_failure_is_a_fault_before_arming_too(library: CDLL) -> None:
     board = Board(library)
     board.ask(m.Identify(1, 0))
     board.library.host_fail_encoder(board.core.address)
@@ -233,7 +232,7 @@ def test_encoder_failure_is_a_fault_before_arming_too(library: ctypes.CDLL) -> N
     assert board.core.status.state == State.FAULT
 
 
-def test_the_amplifier_is_on_in_a_session_alone(library: ctypes.CDLL) -> None:
+def test_the_amplifier_is_on_in_a_session_alone(library: CDLL) -> None:
     board = Board(library)
     assert not board.core.status.enabled
     board.begin()
@@ -242,7 +241,7 @@ def test_the_amplifier_is_on_in_a_session_alone(library: ctypes.CDLL) -> None:
     assert not board.core.status.enabled
 
 
-def test_stop_cuts_in_the_middle_of_a_tick(library: ctypes.CDLL) -> None:
+def test_stop_cuts_in_the_middle_of_a_tick(library: CDLL) -> None:
     board = Board(library).begin()
     board.tick(100)
     board.core.receive(board.host.send(m.Command(0, 20_000, m.Mode.STOP, 0, 100)))
@@ -251,7 +250,7 @@ def test_stop_cuts_in_the_middle_of_a_tick(library: ctypes.CDLL) -> None:
     assert board.core.status.enabled
 
 
-def test_a_rate_that_the_timer_cannot_do_is_refused_and_changes_nothing(library: ctypes.CDLL) -> None:
+def test_a_rate_that_the_timer_cannot_do_is_refused_and_changes_nothing(library: CDLL) -> None:
     board = Board(library)
     board.ask(m.Identify(1, 0))
     before = board.ask(m.GetParameters(2, 0))
@@ -261,7 +260,7 @@ def test_a_rate_that_the_timer_cannot_do_is_refused_and_changes_nothing(library:
     assert board.ask(m.GetParameters(2, 0)) == before
 
 
-def test_a_board_whose_timer_cannot_do_its_own_rate_says_so_at_once(library: ctypes.CDLL) -> None:
+def test_a_board_whose_timer_cannot_do_its_own_rate_says_so_at_once(library: CDLL) -> None:
     board = Board(library)
     board.library.host_refuse_rate(board.core.address, 1_000)
     board.library.host_restart(board.core.address)
@@ -271,14 +270,14 @@ def test_a_board_whose_timer_cannot_do_its_own_rate_says_so_at_once(library: cty
 # ---------------------------------------------------------------------- the link
 
 
-def test_a_flood_of_bytes_is_taken_in_bounded_pieces(library: ctypes.CDLL) -> None:
+def test_a_flood_of_bytes_is_taken_in_bounded_pieces(library: CDLL) -> None:
     board = Board(library)
     flood = bytes([1]) * 1_000
     assert library.host_poll(board.core.address, flood, len(flood)) == POLL_BYTES
     assert library.host_poll(board.core.address, b"", 0) == 0
 
 
-def test_bytes_without_an_end_are_counted_once_and_forgotten(library: ctypes.CDLL) -> None:
+def test_bytes_without_an_end_are_counted_once_and_forgotten(library: CDLL) -> None:
     board = Board(library)
     board.core.receive(bytes([7]) * (20 * ENCODED_LIMIT))
     assert board.core.status.counters.framing_errors == 1
@@ -296,7 +295,7 @@ CThermal = structure(
 
 @pytest.mark.parametrize("rate", [50, 1_000, 50_000])
 @pytest.mark.parametrize("time_constant_s", [0.125, 8.0, 8_192.0])
-def test_heat_in_integers_is_heat_in_doubles(library: ctypes.CDLL, rate: int, time_constant_s: float) -> None:
+def test_heat_in_integers_is_heat_in_doubles(library: CDLL, rate: int, time_constant_s: float) -> None:
     ours, theirs = CThermal(), flat(np.float64, 3)
     library.thermal_configure.argtypes = [ctypes.c_void_p, ctypes.c_uint16, ctypes.c_float, ctypes.c_uint32]
     library.thermal_update.argtypes = [ctypes.c_void_p, ctypes.c_int16]

@@ -4,7 +4,7 @@ The functions of the hardware are those of the host port, which cost next to not
 `tests.firmware.cortex_library`.
 """
 
-import ctypes
+from ctypes import CDLL
 
 import numpy as np
 import pytest
@@ -60,8 +60,8 @@ def image(request: pytest.FixtureRequest) -> cortex.Image:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_tick_has_the_currents_of_this_computer_and_stays_within_its_budget(
-    image: cortex.Image, library: ctypes.CDLL
+def test_a_tick_has_the_currents_of_this_computer_within_its_budget(
+    image: cortex.Image, library: CDLL
 ) -> None:
     for (core, law, scheme), budget in BUDGETS.items():
         if core != image.core.name:

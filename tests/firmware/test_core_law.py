@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Mapping
+from ctypes import CDLL
 from typing import Any
 
 import pytest
@@ -84,9 +85,7 @@ def content(structure: Any, prefix: str = "") -> dict[str, Any]:
 
 @pytest.mark.parametrize("estimator", [*ESTIMATORS[1:], "disturbance"])
 @pytest.mark.parametrize("scheme", [DUAL, UNIFORM], ids=["dual", "uniform"])
-def test_a_law_in_float_arrives_as_it_was_designed(
-    library: ctypes.CDLL, estimator: str, scheme: dict[str, object]
-) -> None:
+def test_a_law_in_float_arrives_as_it_was_designed(library: CDLL, estimator: str, scheme: Any) -> None:
     values = values_of(controller_of(experiment_of(estimator, OWN.get(estimator, {}), scheme), -77))
     p = structure_of(values, 1)
     ours, theirs = content(law_of(Board(library).begin(**run_values(values)))), content(p)
@@ -99,7 +98,7 @@ def test_a_law_in_float_arrives_as_it_was_designed(
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_law_in_integers_arrives_as_it_was_designed(library: ctypes.CDLL, sign: int) -> None:
+def test_a_law_in_integers_arrives_as_it_was_designed(library: CDLL, sign: int) -> None:
     experiment = experiment_of("fdm-butterworth-fixed", {}, DUAL, {"rig.encoder.sign": sign})
     values = values_of(controller_of(experiment, reference_count=1234), FIXED)
     board = Board(library, config.rig_model(experiment)).begin(**run_values(values))
@@ -129,9 +128,7 @@ REFUSED: list[tuple[str, dict[str, Value]]] = [
 
 
 @pytest.mark.parametrize(("about", "values"), REFUSED)
-def test_a_law_that_cannot_run_is_refused_and_nothing_changes(
-    library: ctypes.CDLL, about: str, values: dict[str, Value]
-) -> None:
+def test_a_law_that_cannot_run_is_refused_and_nothing_changes(library: CDLL, about: str, values: Any) -> None:
     foaw = values_of(controller_of(experiment_of("foaw-best", {}, DUAL)))
     board = Board(library).begin(**run_values(foaw if about == "foaw_band" else push()))
     board.disarm()
@@ -142,7 +139,7 @@ def test_a_law_that_cannot_run_is_refused_and_nothing_changes(
     assert board.arm().status == Status.OK  # the CRC is that of the first block, and it is verified
 
 
-def test_a_board_without_a_law_refuses_one(library: ctypes.CDLL) -> None:
+def test_a_board_without_a_law_refuses_one(library: CDLL) -> None:
     board = Board(library, law_maximum=0)
     board.take(board.core.receive(board.host.send(m.Identify(1, 0))))
     ack = board.configure(law=1)
@@ -167,7 +164,7 @@ LAWS = [
     first_by_default([(scheme, *law) for scheme in (DUAL, UNIFORM) for law in LAWS], 3),
 )
 def test_a_supervised_hit_is_the_hit_of_the_law_alone(
-    library: ctypes.CDLL, law: LawLibrary, scheme: dict[str, object], estimator: str, arithmetic: int
+    library: CDLL, law: LawLibrary, scheme: dict[str, object], estimator: str, arithmetic: int
 ) -> None:
     experiment = experiment_of(
         estimator, OWN.get(estimator, {}), scheme, SHORT, {"trial.start": START - 0.002}
@@ -199,8 +196,8 @@ def multisine() -> dict[str, Value]:
 
 
 @pytest.mark.parametrize("phases", [0, 1])
-def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
-    library: ctypes.CDLL, law: LawLibrary, phases: int
+def test_an_excitation_is_played_from_the_device_s_own_table(
+    library: CDLL, law: LawLibrary, phases: int
 ) -> None:
     p = multisine() | {"excitation_phases": phases}
     board = Board(library)
@@ -216,7 +213,7 @@ def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
     assert currents[100:800] == currents[800:1500]
 
 
-def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL) -> None:
+def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: CDLL) -> None:
     board = Board(library)
     board.prepare(**run_values(multisine()))
     refused = 0
@@ -235,7 +232,7 @@ def test_a_device_says_when_it_is_not_ready_and_then_it_is(library: ctypes.CDLL)
 
 
 @pytest.mark.parametrize("name", [f"excitation_{name}" for name, _ in Parameters().excitation._fields_])
-def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.CDLL, name: str) -> None:
+def test_another_excitation_is_worked_out_anew_whatever_differs(library: CDLL, name: str) -> None:
     board = Board(library)
     p = multisine()
     board.prepare(**run_values(p))
@@ -246,7 +243,7 @@ def test_another_excitation_is_worked_out_anew_whatever_differs(library: ctypes.
     assert board.arm().status == Status.NOT_READY
 
 
-def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CDLL) -> None:
+def test_a_period_that_the_board_has_no_memory_for_is_refused(library: CDLL) -> None:
     board = Board(library)
     library.host_set_excitation(board.core.address, 699)
     board.identify()
@@ -259,7 +256,7 @@ def test_a_period_that_the_board_has_no_memory_for_is_refused(library: ctypes.CD
 # ---------------------------------------------------------------------- when it runs
 
 
-def test_the_law_answers_each_sample_in_its_own_tick(library: ctypes.CDLL, law: LawLibrary) -> None:
+def test_the_law_answers_each_sample_in_its_own_tick(library: CDLL, law: LawLibrary) -> None:
     p = push()
     board = Board(library).begin(**run_values(p))
     board.run([*range(90, 130)])
@@ -269,7 +266,7 @@ def test_the_law_answers_each_sample_in_its_own_tick(library: ctypes.CDLL, law: 
     assert currents[:15] == [0, 0, *[50 - 10 * max(0, count - 100) for count in range(92, 105)]]
 
 
-def test_no_current_flows_before_the_first_supervision(library: ctypes.CDLL) -> None:
+def test_no_current_flows_before_the_first_supervision(library: CDLL) -> None:
     board = Board(library).begin(**run_values(push()))
     for _ in range(20):
         board.tick()
@@ -280,7 +277,7 @@ def test_no_current_flows_before_the_first_supervision(library: ctypes.CDLL) -> 
     assert board.frames[0].samples[0].index == board.fed[20].index
 
 
-def test_missed_ticks_have_passed_for_the_law_too(library: ctypes.CDLL, law: LawLibrary) -> None:
+def test_missed_ticks_have_passed_for_the_law_too(library: CDLL, law: LawLibrary) -> None:
     p = push(fixed_damping=2**16, velocity_divider=4, trial_ticks=60)
     board = Board(library).begin(**run_values(p))
     for step in range(80):
@@ -294,7 +291,7 @@ def test_missed_ticks_have_passed_for_the_law_too(library: ctypes.CDLL, law: Law
 
 @pytest.mark.parametrize("ramp_us", [0, 777, 10_000])
 def test_after_a_silent_host_the_live_law_fades_and_the_fault_latches(
-    library: ctypes.CDLL, law: LawLibrary, ramp_us: int
+    library: CDLL, law: LawLibrary, ramp_us: int
 ) -> None:
     # The factor acts on the present output of the law: its current continues to follow the handle.
     p = push()
@@ -323,7 +320,7 @@ def test_after_a_silent_host_the_live_law_fades_and_the_fault_latches(
     assert board.states[-1].fault == Fault.LINK_LOST
 
 
-def test_the_lifetime_of_supervision_is_capped(library: ctypes.CDLL) -> None:
+def test_the_lifetime_of_supervision_is_capped(library: CDLL) -> None:
     board = Board(library).begin(**run_values(push(), supervise_lifetime_us=10_000, ramp_us=0))
     board.command(lifetime_us=2**32 - 1)
     ticks = 0
@@ -333,7 +330,7 @@ def test_the_lifetime_of_supervision_is_capped(library: ctypes.CDLL) -> None:
     assert ticks in {20, 21}  # 10 ms at 2 kHz
 
 
-def test_limits_act_on_the_law_too(library: ctypes.CDLL) -> None:
+def test_limits_act_on_the_law_too(library: CDLL) -> None:
     board = Board(library).begin(**run_values(push(fixed_constant_low=300 * 2**16), slew_limit=7))
     board.run([0] * 10)
     board.command(Mode.STOP)
@@ -343,8 +340,8 @@ def test_limits_act_on_the_law_too(library: ctypes.CDLL) -> None:
 
 
 @pytest.mark.parametrize("mode", [Mode.STOP, Mode.CURRENT])
-def test_another_command_ends_the_law_and_supervision_begins_it_anew(
-    library: ctypes.CDLL, law: LawLibrary, mode: Mode
+def test_a_command_ends_the_law_and_supervision_restarts_it(
+    library: CDLL, law: LawLibrary, mode: Mode
 ) -> None:
     p = push(trial_ticks=30)
     board = Board(library).begin(**run_values(p))
@@ -373,9 +370,7 @@ def test_another_command_ends_the_law_and_supervision_begins_it_anew(
     ],
     ids=["window", "homing", "speed"],
 )
-def test_a_law_that_gives_up_is_done_without_a_fault(
-    library: ctypes.CDLL, changes: dict[str, int], counts: list[int]
-) -> None:
+def test_a_law_that_gives_up_is_done_without_a_fault(library: CDLL, changes: Any, counts: Any) -> None:
     board = Board(library).begin(**run_values(push(**changes)))
     board.run([*counts, *[counts[-1]] * 20])
     assert board.core.status.fault == Fault.NONE
@@ -383,7 +378,7 @@ def test_a_law_that_gives_up_is_done_without_a_fault(
     assert board.states[-1].phase == Phase.DONE
 
 
-def test_a_current_that_is_no_number_is_a_fault(library: ctypes.CDLL) -> None:
+def test_a_current_that_is_no_number_is_a_fault(library: CDLL) -> None:
     p = values_of(controller_of(experiment_of("fdm-butterworth", {}, UNIFORM)))
     p |= {
         "settle_ticks": 0,
@@ -400,7 +395,7 @@ def test_a_current_that_is_no_number_is_a_fault(library: ctypes.CDLL) -> None:
     assert board.samples[-1].count == step % 2  # of the tick that caused it
 
 
-def test_a_law_begins_anew_in_each_session(library: ctypes.CDLL, law: LawLibrary) -> None:
+def test_a_law_begins_anew_in_each_session(library: CDLL, law: LawLibrary) -> None:
     p = push(trial_ticks=20)
     board = Board(library).begin(**run_values(p))
     for _ in range(3):
@@ -418,7 +413,7 @@ def test_a_law_begins_anew_in_each_session(library: ctypes.CDLL, law: LawLibrary
 
 
 @pytest.mark.parametrize(("rate", "every"), [(100, 1), (2_000, 10), (7_777, 38), (50_000, 250)])
-def test_state_comes_two_hundred_times_a_second(library: ctypes.CDLL, rate: int, every: int) -> None:
+def test_state_comes_two_hundred_times_a_second(library: CDLL, rate: int, every: int) -> None:
     board = Board(library).begin(**run_values(push(), position_rate=rate))
     board.run([0] * (5 * every + 1))
     indices = [state.sample_index for state in board.states]
@@ -428,7 +423,7 @@ def test_state_comes_two_hundred_times_a_second(library: ctypes.CDLL, rate: int,
     assert board.host.statistics.lost == (every == 1)  # a tick without a STATE is not a lost one
 
 
-def test_the_fault_log_has_each_tick_with_its_own_limits(library: ctypes.CDLL) -> None:
+def test_the_fault_log_has_each_tick_with_its_own_limits(library: CDLL) -> None:
     window = {"window_maximum": 1_000, "window_minimum": -1_000}
     board = Board(library).begin(**run_values(push(), batch_layout=2, **window))
     board.run([0] * 12 + [960] + [0] * 12)
@@ -445,7 +440,7 @@ def test_the_fault_log_has_each_tick_with_its_own_limits(library: ctypes.CDLL) -
     assert entries[-1].count == 1_001
 
 
-def test_pins_show_what_the_law_does(library: ctypes.CDLL) -> None:
+def test_pins_show_what_the_law_does(library: CDLL) -> None:
     board = Board(library).begin(**run_values(push(trial_ticks=20), batch_layout=2))
     pins = []
     for board.count in [0] * 5 + [150] * 5 + [0] * 20:
@@ -461,9 +456,7 @@ def test_pins_show_what_the_law_does(library: ctypes.CDLL) -> None:
 
 
 @pytest.mark.parametrize("after", ["kalman", "tracking"])
-def test_an_estimator_of_counts_alone_keeps_no_input_of_the_one_before(
-    library: ctypes.CDLL, after: str
-) -> None:
+def test_an_estimator_of_counts_alone_keeps_no_input_of_the_one_before(library: CDLL, after: str) -> None:
     """A block that omits a parameter leaves its old value on the device, so it must contain the input."""
     blocks = [
         run_values(values_of(controller_of(experiment_of(name, OWN.get(name, {}), DUAL))))
@@ -480,7 +473,7 @@ def test_an_estimator_of_counts_alone_keeps_no_input_of_the_one_before(
 # ---------------------------------------------------------------------- another wall while it runs
 
 
-def test_a_wall_does_not_change_under_a_pressed_hand(library: ctypes.CDLL) -> None:
+def test_a_wall_does_not_change_under_a_pressed_hand(library: CDLL) -> None:
     board = Board(library).begin(**run_values(push()))
     surfaces = {"here": 100, "nearer": 50, "farther": 150}
     for count, surface, status in (
@@ -498,7 +491,7 @@ def test_a_wall_does_not_change_under_a_pressed_hand(library: ctypes.CDLL) -> No
         assert (bytes(law_of(board)) == before) == (status is not Status.OK)
 
 
-def test_a_bilateral_wall_does_not_change_while_it_runs(library: ctypes.CDLL) -> None:
+def test_a_bilateral_wall_does_not_change_while_it_runs(library: CDLL) -> None:
     # Its spring acts on both sides: no place is free of it.
     board = Board(library).begin(**run_values(push(), bilateral=1))
     for count in (50, 100, 101):
@@ -507,7 +500,7 @@ def test_a_bilateral_wall_does_not_change_while_it_runs(library: ctypes.CDLL) ->
         assert board.configure(fixed_stiffness=0).status == Status.INSIDE_WALL
 
 
-def test_a_wall_that_cannot_be_computed_is_refused_while_it_runs(library: ctypes.CDLL) -> None:
+def test_a_wall_that_cannot_be_computed_is_refused_while_it_runs(library: CDLL) -> None:
     board = Board(library).begin(**run_values(push()))
     board.run([0] * 5)
     ack = board.configure(fixed_stiffness=-1)
@@ -518,7 +511,7 @@ def test_a_wall_that_cannot_be_computed_is_refused_while_it_runs(library: ctypes
     assert (board.core.status.current, board.core.status.fault) == (50, Fault.NONE)
 
 
-def test_a_wall_of_a_law_that_does_not_run_may_change_at_any_time(library: ctypes.CDLL) -> None:
+def test_a_wall_of_a_law_that_does_not_run_may_change_at_any_time(library: CDLL) -> None:
     plain = Board(library).begin(law=0)
     plain.run([4_000] * 3)
     assert plain.configure(fixed_surface=0, fixed_stiffness=5).status == Status.OK
@@ -548,7 +541,7 @@ class Slow(Board):
         assert not self.replies
 
 
-def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDLL, law: LawLibrary) -> None:
+def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: CDLL, law: LawLibrary) -> None:
     # The reply names the tick from which the new wall acts, however many ticks passed.
     p = push()
     board = Slow(library).begin(**run_values(p))
@@ -578,7 +571,7 @@ def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDL
     assert board.arm().status == Status.OK
 
 
-def test_a_fault_in_the_middle_of_a_change_leaves_the_old_wall(library: ctypes.CDLL) -> None:
+def test_a_fault_in_the_middle_of_a_change_leaves_the_old_wall(library: CDLL) -> None:
     board = Slow(library).begin(**run_values(push()))
     board.run([0] * 5)
     before, crc = bytes(law_of(board)), board.crc
@@ -592,7 +585,7 @@ def test_a_fault_in_the_middle_of_a_change_leaves_the_old_wall(library: ctypes.C
     assert bytes(law_of(board)) == before
 
 
-def test_a_request_in_the_same_bytes_finds_the_change_done(library: ctypes.CDLL) -> None:
+def test_a_request_in_the_same_bytes_finds_the_change_done(library: CDLL) -> None:
     board = Board(library).begin(**run_values(push()))
     board.nonce += 1
     *messages, commit = set_parameters(encode_block({"fixed_surface": 95 * 256}), board.nonce)

@@ -2,6 +2,7 @@
 
 import ctypes
 import re
+from ctypes import CDLL
 
 import pytest
 
@@ -19,11 +20,11 @@ DUTIES = {duty.name: duty for duty in duties()}
 
 
 @pytest.fixture(scope="module")
-def board(library: ctypes.CDLL) -> ctypes.CDLL:
+def board(library: CDLL) -> CDLL:
     return simulated_port.board_with(library)
 
 
-def checked(board: ctypes.CDLL, spoilt: str = "", request: PortCheckRequest = REQUEST) -> PortCheck:
+def checked(board: CDLL, spoilt: str = "", request: PortCheckRequest = REQUEST) -> PortCheck:
     link = SimulatedPort(powered_up(board, spoilt))
     return check_port(lambda: link, request)
 
@@ -37,7 +38,7 @@ def test_every_duty_has_a_check_and_a_port_that_breaks_it() -> None:
     assert {name.partition("__")[0] for name in wrong_ports()} == set(DUTIES)
 
 
-def test_the_port_to_this_computer_keeps_every_duty(board: ctypes.CDLL) -> None:
+def test_the_port_to_this_computer_keeps_every_duty(board: CDLL) -> None:
     found = checked(board)
     assert [one for one in found.checks if one.outcome is not Outcome.OK] == []
     assert len(found.checks) == len(DUTIES)
@@ -57,7 +58,7 @@ FIRST = {name.partition("__")[0]: name for name in reversed(wrong_ports())}  # o
 @pytest.mark.parametrize(
     "wrong", first_by_default(sorted(wrong_ports(), key=lambda n: n not in FIRST.values()), len(FIRST))
 )
-def test_a_wrong_port_is_found_by_the_duty_that_it_breaks(board: ctypes.CDLL, wrong: str) -> None:
+def test_a_wrong_port_is_found_by_the_duty_that_it_breaks(board: CDLL, wrong: str) -> None:
     found = checked(board, f"wrong_{wrong}")
     duty = DUTIES[wrong.partition("__")[0]]
     reasons = broken(found)
@@ -69,13 +70,13 @@ def test_a_wrong_port_is_found_by_the_duty_that_it_breaks(board: ctypes.CDLL, wr
     assert error.remedy == duty.remedy
 
 
-def was_on(board: ctypes.CDLL) -> tuple[bool, bool]:
+def was_on(board: CDLL) -> tuple[bool, bool]:
     """Return whether the amplifier was ever on, and whether it is on."""
     ever, now = (ctypes.c_bool.in_dll(board, name).value for name in ("ever_on", "is_on"))
     return ever, now
 
 
-def test_check_without_consent_switches_nothing_on_and_names_the_missing_options(board: ctypes.CDLL) -> None:
+def test_check_without_consent_switches_nothing_on_and_names_the_missing_options(board: CDLL) -> None:
     found = checked(board, "watch_enable", PortCheckRequest(seconds=0.1))
     assert was_on(board) == (False, False)
     unseen = {one.name: one.text for one in found.checks if one.outcome is not Outcome.OK}
@@ -89,19 +90,19 @@ def test_check_without_consent_switches_nothing_on_and_names_the_missing_options
         assert option in unseen[name]
 
 
-def test_behind_a_check_with_a_current_the_amplifier_is_off(board: ctypes.CDLL) -> None:
+def test_behind_a_check_with_a_current_the_amplifier_is_off(board: CDLL) -> None:
     checked(board, "watch_enable")
     assert was_on(board) == (True, False)
 
 
 @pytest.mark.parametrize("wrong", ["time_unit", "tick_rate", "watchdog_bites__never"])
-def test_no_current_flows_before_time_tick_and_watchdog_are_right(board: ctypes.CDLL, wrong: str) -> None:
+def test_no_current_flows_before_time_tick_and_watchdog_are_right(board: CDLL, wrong: str) -> None:
     found = checked(board, f"wrong_{wrong}")
     current = [one for one in found.checks if one.name in ("zero at once", "measured flows")]
     assert [one.outcome for one in current] == [Outcome.SKIPPED] * 2
 
 
-def test_a_current_above_the_rigs_limit_is_refused(board: ctypes.CDLL) -> None:
+def test_a_current_above_the_rigs_limit_is_refused(board: CDLL) -> None:
     with pytest.raises(ConfigError, match="current = 2001"):
         checked(board, "watch_enable", PortCheckRequest(current=2_001))
     assert was_on(board) == (False, False)
@@ -123,7 +124,7 @@ class Silent(SimulatedPort):
         return data if self._left >= 0 else b""
 
 
-def test_board_that_stops_replying_breaks_the_duty_in_test_and_skips_the_rest(board: ctypes.CDLL) -> None:
+def test_board_that_stops_replying_breaks_the_duty_in_test_and_skips_the_rest(board: CDLL) -> None:
     link = Silent(powered_up(board), 3)
     found = check_port(lambda: link, PortCheckRequest(seconds=0.1))
     texts = {one.name: one.text for one in found.checks}
@@ -132,7 +133,7 @@ def test_board_that_stops_replying_breaks_the_duty_in_test_and_skips_the_rest(bo
     assert texts["write whole"] == "the board no longer replies"
 
 
-def test_silent_port_is_a_lost_link_with_the_image_to_flash(board: ctypes.CDLL) -> None:
+def test_silent_port_is_a_lost_link_with_the_image_to_flash(board: CDLL) -> None:
     link = Silent(powered_up(board), 0)
     with pytest.raises(LinkLostError, match="no reply at") as caught:
         check_port(lambda: link, PortCheckRequest())
@@ -140,7 +141,7 @@ def test_silent_port_is_a_lost_link_with_the_image_to_flash(board: ctypes.CDLL) 
 
 
 def test_the_command_says_the_duty_that_is_broken(
-    board: ctypes.CDLL, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    board: CDLL, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link = SimulatedPort(powered_up(board, "wrong_zero_at_once"))
     monkeypatch.setattr("rig.cli.firmware.open_link", lambda _url: link)

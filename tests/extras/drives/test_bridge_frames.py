@@ -68,9 +68,7 @@ def test_replies_of_the_adapter_itself_are_counted() -> None:
     st.integers(0, 2**29 - 1), st.binary(min_size=1, max_size=64), st.integers(0, 10_000), st.integers(1, 255)
 )
 @example(0, b"\xbf", 0, 1)  # data that look like the flags
-def test_a_line_with_a_checksum_arrives_or_does_not(
-    identifier: int, data: bytes, place: int, bits: int
-) -> None:
+def test_a_line_with_a_checksum_arrives_or_not(identifier: int, data: bytes, place: int, bits: int) -> None:
     sent = (
         make_line(CanFrame(identifier, data), checksum=True).removeprefix(b"can send ").rsplit(b" BF ", 1)[0]
     )

@@ -312,9 +312,7 @@ def test_a_drive_that_would_render_another_wall_is_offered_none(setting: str, va
 
 # Beyond kp; a damper's share above the spring's.
 @pytest.mark.parametrize(("stiffness", "damping"), [(9.6, 0.005), (1.0, 0.04)])
-def test_gains_that_are_too_small_are_named_with_those_that_are_enough(
-    stiffness: float, damping: float
-) -> None:
+def test_too_small_gains_are_named_with_those_that_are_enough(stiffness: float, damping: float) -> None:
     run = controller.prepare_controller(walled(wall__stiffness=stiffness, wall__damping=damping))
     host = Host(Bridged(rig_model(run.experiment), GAINS))
     (check,) = refused(device_checks(run, host.identify()))

@@ -139,9 +139,7 @@ def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x: Any) -> None:
 
 @given(experiments(), st.floats(0.05, 20.0), st.just(0.0) | st.floats(1e-6, 20.0), st.integers(-50, 50))
 @settings(max_examples=10)
-def test_another_wall_has_the_numbers_of_a_run_that_begins_with_it(
-    x: Any, harder: float, damper: float, counts: int
-) -> None:
+def test_a_live_wall_equals_one_from_the_beginning(x: Any, harder: float, damper: float, counts: int) -> None:
     """A wall that is set during a run has the same numbers as one set at its beginning."""
     moved = x.wall.position + counts * x.rig.encoder.resolution
     other = {"stiffness": x.wall.stiffness * harder, "damping": x.wall.damping * damper, "position": moved}
@@ -195,9 +193,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("changes", "message", "remedy"), REFUSED)
-def test_unsupported_option_is_refused_with_key_value_and_remedy(
-    changes: Any, message: str, remedy: str
-) -> None:
+def test_unsupported_option_is_refused_with_key_and_remedy(changes: Any, message: str, remedy: str) -> None:
     given_ = {f"controller.{key}": value for key, value in {"loop": "device", **changes}.items()}
     x = config.override(PRESETS["koul-rigid"], given_)
     with pytest.raises(PlanError, match=message) as refused:

@@ -1,6 +1,5 @@
 """Python computes the device's multisine from its parameters, to the last bit, and it matches the theory."""
 
-import ctypes as ct
 from dataclasses import replace
 from typing import Any
 
@@ -105,11 +104,3 @@ def test_a_device_refuses_what_the_host_refuses(law: Any) -> None:
         assert law.check(p) != 0
         with pytest.raises(ConfigError):
             replace(table, **{field: value})
-
-
-def test_nothing_is_worked_out_without_lines(law: Any) -> None:
-    p = excited(FIXED, ExcitationTable(1, 1, 1, 100, 1))
-    p.excitation.lines = 0
-    work = ct.create_string_buffer(law.so.driver_size(5))
-    law.so.law_excitation_begin(work, ct.byref(p.excitation), None)
-    assert law.so.law_excitation_continue(work, 0)

@@ -13,8 +13,6 @@ from tests.firmware.law import law_cases
 from tests.firmware.law.law_library import (
     SOURCES,
     TICKS,
-    Parameters,
-    State,
     case_bytes,
     compile_law,
     kept_law,
@@ -76,8 +74,3 @@ def test_the_cases_reach_nearly_every_branch(tmp_path: Path, law: Any) -> None:
     assert all(float(lines) == 100.0 for _, lines, *_ in found), found
     branches = sum(float(taken) * int(of) for *_, taken, of in found) / sum(int(of) for *_, of in found)
     assert branches >= LEAST_BRANCHES, found
-
-
-def test_the_state_is_small() -> None:
-    assert ct.sizeof(State) < 2600
-    assert ct.sizeof(Parameters) < 1000

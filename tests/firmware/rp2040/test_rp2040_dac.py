@@ -57,7 +57,7 @@ def steps_off(code: int, quanta: int) -> float:
     return abs(code - MIDDLE - quanta * QUANTUM_A / FULL_SCALE_A * (MIDDLE - 1))
 
 
-def test_converter_accepts_nothing_before_arming_and_the_range_before_the_current_of_each_run(
+def test_converter_gets_nothing_before_arming_and_its_range_before_each_current(
     powered_dac: Powered,
 ) -> None:
     session = powered_dac()
@@ -76,7 +76,7 @@ def test_converter_accepts_nothing_before_arming_and_the_range_before_the_curren
     assert session.pico.look()["current"] == pytest.approx(-0.4, abs=STEP_A)
 
 
-def test_the_pins_carry_every_current_to_the_step_within_a_microsecond_of_transfer(
+def test_the_pins_carry_every_current_to_the_step_within_a_microsecond(
     powered_dac: Powered,
 ) -> None:
     session = powered_dac()

@@ -37,9 +37,7 @@ def uneven(counts: int, seed: int) -> list[tuple[int, float]]:
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_every_sample_is_a_count_that_the_encoder_had_at_the_highest_speed(
-    powered: Powered, way: int
-) -> None:
+def test_every_sample_is_a_count_of_the_encoder_at_the_highest_speed(powered: Powered, way: int) -> None:
     session = powered()
     streaming(session)
     session.pico.move((way * 6_000, NANOS))

@@ -20,7 +20,7 @@ DUTY_STEP_A = emulator.FULL_SCALE_A / 2_500  # 125 MHz / 50 kHz
 QUANTUM_A = 0.001
 
 
-def test_the_pins_show_magnitude_and_direction_of_the_current_and_the_monitor_what_flows(
+def test_the_pins_show_the_current_with_its_direction_and_the_monitor_what_flows(
     powered: Powered,
 ) -> None:
     session = powered()

@@ -47,9 +47,7 @@ def listener(tmp_path: Path) -> Iterator[socket.socket]:
         yield listening
 
 
-def test_it_conforms_as_a_link_and_the_rig_behind_it_as_a_device(
-    path: Path, tmp_path: Path, listener: socket.socket
-) -> None:
+def test_it_conforms_as_a_link_and_its_rig_as_a_device(path: Path, tmp_path: Path, listener: Any) -> None:
     check_link(lambda: opened(path), lambda: opened(tmp_path / "silent"), slack_s=SLACK_S)
     check_device(lambda: opened(path), starts_in_boot=False)
 
@@ -86,8 +84,8 @@ def test_a_socket_without_a_listener_does_not_open(tmp_path: Path) -> None:
             opened(tmp_path / "missing", query)
 
 
-def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another(
-    tmp_path: Path, listener: socket.socket
+def test_a_loop_shares_its_device_s_processor_unless_the_user_names_one(
+    tmp_path: Path, listener: Any
 ) -> None:
     link = opened(tmp_path / "silent", "?cpu=3")
     assert host_beside(Scheduling(), link).cpu == 3

@@ -72,7 +72,7 @@ def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree: Tree) -> None:
 
 
 @pytest.mark.parametrize(("latency", "known_ms"), [(1, 1), ("soon", None)])
-def test_an_ftdi_adapter_at_one_millisecond_or_without_a_timer_is_no_problem(
+def test_an_ftdi_adapter_of_one_millisecond_or_no_timer_is_fine(
     latency: Any, known_ms: Any, tree: Tree
 ) -> None:
     facts = tree.facts(tree.plug("ttyUSB1", "ftdi_sio", latency, **FTDI))
@@ -81,9 +81,7 @@ def test_an_ftdi_adapter_at_one_millisecond_or_without_a_timer_is_no_problem(
     assert facts.problems() == []
 
 
-def test_a_board_that_is_a_usb_device_itself_has_no_latency_mode(
-    tree: Tree, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_board_on_usb_itself_has_no_latency_mode(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tty, "low_latency", lambda descriptor: False)
     port = tree.plug("ttyACM0", "cdc_acm", idVendor="2e8a", idProduct="000a", serial="E66038B713")
     with os.fdopen(pty.openpty()[1]) as terminal:

@@ -48,17 +48,6 @@ def serial_link(line: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
     made.close()
 
 
-def test_bytes_pass_both_ways_unchanged(line: Any, serial_link: Any) -> None:
-    every = bytes(range(256))
-    serial_link.write(every)
-    assert os.read(line.device, 1000) == every
-    os.write(line.device, every)
-    got = serial_link.read(SLACK_S)
-    while len(got) < len(every):
-        got += serial_link.read(SLACK_S)
-    assert got == every
-
-
 # ---------------------------------------------------------------------- opening
 
 
@@ -191,9 +180,7 @@ def test_bytes_from_before_opening_are_discarded(line: Any) -> None:
         ("ttyACM12", 921_600, None),
     ],
 )
-def test_the_rate_limits_a_uart_and_nothing_else(
-    name: str, baud: int, capacity: float | None, tmp_path: Path
-) -> None:
+def test_the_rate_limits_a_uart_and_nothing_else(name: str, baud: int, capacity: Any, tmp_path: Path) -> None:
     assert capacity_of(f"/dev/{name}", baud) == capacity
     alias = tmp_path / "by-id"
     alias.symlink_to(f"/dev/{name}")
@@ -302,9 +289,7 @@ def test_a_setting_that_the_port_refuses_is_a_message_with_its_remedy(
 # ---------------------------------------------------------------------- full lines
 
 
-def test_writing_to_a_line_without_a_reader_ends_in_bounded_time(
-    serial_link: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_without_a_reader_is_bounded(serial_link: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(descriptor, "WRITE_TIMEOUT_S", 0.05)
     before = time.monotonic()
     with pytest.raises(LinkLostError, match="accepts no more bytes"):

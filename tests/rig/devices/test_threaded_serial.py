@@ -4,7 +4,6 @@ import errno
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,8 +16,7 @@ from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import unpack
 from rig import config, devices
 from rig.config import Experiment, presets
-from rig.core import this_system
-from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError, PlanError, StoppedError
+from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError, StoppedError
 from rig.core.sample import Phase
 from rig.devices import _threaded_serial as threaded_serial
 from rig.devices._threaded_serial import ThreadedSerialLink, open_link
@@ -47,7 +45,7 @@ def board() -> Iterator[Callable[..., str]]:
         yield lambda model=None, **options: running.enter_context(served_rig(model, **options))
 
 
-def test_it_conforms_as_a_link_and_the_rig_behind_it_as_a_device(board: Any, line: Any) -> None:
+def test_it_conforms_as_a_link_and_its_rig_as_a_device(board: Any, line: Any) -> None:
     path = board()
     check_link(lambda: opened(path), lambda: opened(line.path), slack_s=SLACK_S)
     check_device(lambda: opened(path), starts_in_boot=False)
@@ -91,9 +89,7 @@ def test_dtr_and_rts_are_set_before_the_port_opens(line: Any, monkeypatch: pytes
         assert at_opening.pop() == (asserted, asserted)
 
 
-def test_an_error_of_pyserial_without_a_number_is_an_unplugged_port(
-    line: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_without_a_number_is_an_unplugged_port(line: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     link = opened(line.path)
 
     def gone(port: Any, data: bytes) -> int:
@@ -156,22 +152,6 @@ def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
     assert set(modes[:stops]) == {m.Mode.SUPERVISE}
     assert set(modes[stops:]) == {m.Mode.STOP}
     assert len(modes) - stops >= STOP_FRAMES
-
-
-def test_a_law_of_this_computer_is_refused_off_linux_before_anything_moves(
-    board: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices._threaded_serial:open_link")
-    monkeypatch.setattr(this_system, "sys", SimpleNamespace(platform="darwin"))
-    experiment = presets.load("koul-rigid")
-    url = f"serial://{board(config.rig_model(experiment))}"
-    with pytest.raises(PlanError) as caught:
-        list(hit(HitRequest(experiment=experiment, url=url, output=tmp_path), admit))
-    assert str(caught.value) == (
-        'controller.loop = "host" needs Linux to run in real time; let the board run the law: set '
-        'controller.loop = "device"'
-    )
-    assert not list(tmp_path.iterdir())
 
 
 def frames_of(data: bytes) -> list[object]:

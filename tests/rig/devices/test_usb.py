@@ -170,9 +170,7 @@ def test_busy_names_the_node_that_fuser_wants(bus: Any) -> None:
 
 
 @pytest.mark.parametrize("fails", [error(errno.ENODEV), error(errno.EIO), NotImplementedError("no")])
-def test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_back(
-    bus: Any, fails: Any
-) -> None:
+def test_any_other_error_of_opening_is_typed_and_gives_the_bus_back(bus: Any, fails: Any) -> None:
     refused(bus, DeviceNotFoundError, Device(fails={"claim": fails}))
     assert bus.closed == 1
 

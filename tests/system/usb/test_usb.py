@@ -15,7 +15,7 @@ from tests.system.usb import checks
 from tests.system.usb.emulated_bus import Bus, Child, build
 
 pytestmark = pytest.mark.exhaustive(
-    "tests/rig/devices/test_usb.py::test_anything_else_that_goes_wrong_in_opening_is_typed_and_gives_the_bus_back"
+    "tests/rig/devices/test_usb.py::test_any_other_error_of_opening_is_typed_and_gives_the_bus_back"
 )
 
 Check = Callable[..., Any]
