@@ -305,21 +305,23 @@ def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts()
     assert (one.interval, one.low, one.high) == ("run", 790.0, math.inf)
 
 
-def mostly_beyond(people: int = 8, within: int = 1, seed: int = 3, spread: float = 0.0) -> Any:
+def mostly_beyond(spread: float) -> Any:
     """Return two conditions; nearly all limits of the second are the end of the levels."""
-    drawn = np.random.default_rng(seed)
-    return [run_row(f"P{n}", "a", value=600.0 + drawn.normal(0.0, 40.0)) for n in range(people)] + [
-        run_row(f"P{n}", "b", value=780.0)
-        if n < within
-        else run_row(f"P{n}", "b", value=800.0 + drawn.normal(0.0, spread), censored="above")
-        for n in range(people)
+    drawn = np.random.default_rng(3)
+    return [
+        *(run_row(f"P{n}", "a", value=600.0 + drawn.normal(0.0, 40.0)) for n in range(8)),
+        run_row("P0", "b", value=780.0),
+        *(
+            run_row(f"P{n}", "b", value=800.0 + drawn.normal(0.0, spread), censored="above")
+            for n in range(1, 8)
+        ),
     ]
 
 
 @pytest.mark.parametrize("spread", [0.0, 3.0])
 def test_where_most_limits_are_bounds_nothing_is_tested(spread: float) -> None:
     """Eight ends of the levels are not eight limits: their mean is a bound without an interval."""
-    rows = mostly_beyond(spread=spread)
+    rows = mostly_beyond(spread)
     each = kmax.estimate_participants(rows, {})
     a, b = kmax.over_participants(each, "ab")
     assert (b.limits, b.above, math.isnan(b.low), math.isnan(a.low)) == (8, 7, True, False)

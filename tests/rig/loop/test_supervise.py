@@ -46,12 +46,10 @@ def loop_settings(**changes: Any) -> LoopSettings:
     return made
 
 
-def ran(
-    device: BatchDevice, bundle: Any = None, *, memory: Ring | None = None, live: Any = None, **changes: Any
-) -> Any:
+def ran(device: BatchDevice, bundle: Any = None, *, memory: Ring | None = None, **changes: Any) -> Any:
     memory = memory or Ring.allocate(8192)
     supervise.run.prepare()
-    thread = SupervisedThread(device, bundle or controlled(), loop_settings(**changes), memory, live=live)
+    thread = SupervisedThread(device, bundle or controlled(), loop_settings(**changes), memory)
     thread.start()
     thread._thread.join(WAIT_S)
     assert thread._ended.is_set()
@@ -68,9 +66,9 @@ def rows_of(thread: LoopThread) -> np.ndarray:
     return thread.ring.rows[: thread.ring.get(control_words.HEAD)]
 
 
-def taps(ticks: int, depth: int = 12, seed: int = 1) -> list[int]:
+def taps(ticks: int, seed: int = 1) -> list[int]:
     noise = np.random.default_rng(seed).integers(-1, 2, ticks)
-    return (np.rint(depth * np.sin(np.arange(ticks) / 15.0)).astype(int) + noise).tolist()
+    return (np.rint(12.0 * np.sin(np.arange(ticks) / 15.0)).astype(int) + noise).tolist()
 
 
 def rows_on_host(counts: Sequence[int], bundle: Any) -> np.ndarray:
@@ -421,8 +419,8 @@ def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it(
 # ---------------------------------------------------------------------- new walls
 
 
-def wall_values(bundle: Any, *, position: float, stiffness: float) -> list[float]:
-    values = [position, *bundle.law.parameters.tolist()]
+def wall_values(bundle: Any, stiffness: float) -> list[float]:
+    values = [0.0, *bundle.law.parameters.tolist()]
     values[1] = stiffness
     return values
 
@@ -437,19 +435,16 @@ def as_device_parameters(values: Sequence[float]) -> dict[str, float]:
 
 
 class Changing:
-    def __init__(
-        self, counts: Sequence[int], *sets: tuple[int, float], position: float = 0.0, **options: Any
-    ) -> None:
+    def __init__(self, counts: Sequence[int], *sets: tuple[int, float]) -> None:
         self.bundle = controlled()
         self.memory = Ring.allocate(16384)
-        self.device = BatchDevice(counts, **options)
+        self.device = BatchDevice(counts)
         self.device.at[len(counts)] = lambda: setattr(self.device, "silent", True)
-        self.position = position
         for tick, stiffness in sets:
             self.device.at[tick] = lambda stiffness=stiffness: self.post(stiffness)
 
     def post(self, stiffness: float) -> None:
-        self.memory.post(wall_values(self.bundle, position=self.position, stiffness=stiffness))
+        self.memory.post(wall_values(self.bundle, stiffness))
         self.thread._attend()
 
     def run(self, **changes: Any) -> Any:
@@ -479,7 +474,7 @@ def test_a_new_wall_becomes_active_on_both_sides_at_the_same_sample() -> None:
     run = Changing(TAP, (22, 1.0), (30, 2.5))
     run.run()
     (first, block), (second, _) = run.device.commits
-    assert decode_block(block) == as_device_parameters(wall_values(run.bundle, position=0.0, stiffness=1.0))
+    assert decode_block(block) == as_device_parameters(wall_values(run.bundle, 1.0))
     index, sets = run.rows["sample_index"], run.rows["parameter_set"]
     assert (sets == np.where(index >= second, 2, np.where(index >= first, 1, 0))).all()
     inside = run.rows["penetration"] > 0.0
@@ -532,7 +527,7 @@ def test_a_wall_that_cannot_be_computed_is_a_message() -> None:
     bundle, memory = controlled(), Ring.allocate(8192)
     device = BatchDevice(TAP)
     thread = SupervisedThread(device, bundle, loop_settings(), memory, live=refuses)
-    memory.post(wall_values(bundle, position=0.0, stiffness=1.0))
+    memory.post(wall_values(bundle, 1.0))
     thread._attend()
     assert "stiffness does not fit" in thread.messages()[0]
 

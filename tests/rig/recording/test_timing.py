@@ -41,23 +41,15 @@ class Session:
     """
 
     def __init__(
-        self,
-        fit: Any,
-        *,
-        ticks: Any,
-        seed: int = 0,
-        first_sequence: int = 0,
-        lost: Any = (),
-        eaten: Any = (),
-        spread: float = 1.0,
-        start: int = 1000,
-    ) -> None:
+        self, fit: Any, *, ticks: Any, seed: Any = 0, first_sequence: Any = 0, lost: Any = (), eaten: Any = (),
+        spread: Any = 1.0,
+    ) -> None:  # fmt: skip
         self.fit, self.rng = fit, np.random.default_rng(seed)
         self.rows, self.sampled, self.applied = [], [], []
         active, came_at = None, 0  # active command, sample from which it is
         commands = []  # (comes at device time, number of its row)
         free_ns = 0
-        for k in range(start, start + ticks):
+        for k in range(1000, 1000 + ticks):
             now = self.at(k)
             for arrival, row in [c for c in commands if c[0] < now]:
                 # The last sample before it came: the command acts from there on.
@@ -67,7 +59,7 @@ class Session:
                     on_grid = int(fit.host_of(np.array([self.at(index)]))[0])
                     self.applied[row] = max(on_grid, int(self.rows[row]["sent_at"]))
             commands = [c for c in commands if c[0] >= now]
-            if k - start in lost:
+            if k - 1000 in lost:
                 continue
             sampled = int(fit.host_of(np.array([now]))[0])
             received = max(sampled + self.wait(80_000 * spread), free_ns)
@@ -275,24 +267,14 @@ def test_each_count_is_reported_separately() -> None:
     assert alone.counts["stale"] is None
 
 
-def rows_of_batches(fit: Any, ticks: int = 200, samples: int = 20) -> Any:
-    """Return the rows of a loop that receives batches, in which no command answers a sample."""
-    rows = np.zeros(ticks, ROW)
-    number = np.arange(ticks)
-    rows["tick"] = number
-    rows["sample_index"] = 700 + number
-    rows["elapsed_ticks"] = 1
+def test_law_on_the_device_has_no_command_stages() -> None:
+    """The loop receives batches of 20 samples, and no command answers a sample."""
+    fit, rows, number = clock(offset_ns=5_000_000), np.zeros(200, ROW), np.arange(200)
+    rows["tick"], rows["sample_index"], rows["elapsed_ticks"] = number, 700 + number, 1
     rows["device_time"] = (700 + number) * PERIOD_NS
-    last = np.minimum((number // samples + 1) * samples - 1, ticks - 1)
-    rows["received_at"] = fit.host_of(rows["device_time"][last]) + 30_000
+    rows["received_at"] = fit.host_of(rows["device_time"][number // 20 * 20 + 19]) + 30_000
     rows["command_sequence"], rows["command_active"], rows["command_age"] = 7, 6, number % 100
     rows["execution_time"] = np.where(number < 50, 2_000, 3_000)
-    return rows
-
-
-def test_law_on_the_device_has_no_command_stages() -> None:
-    fit = clock(offset_ns=5_000_000)
-    rows = rows_of_batches(fit)
     summary = summarise(ledger(rows, fit, PERIOD_NS, "device"), {"late": 0})
     assert summary.loop == "device"
     assert summary.execution_ns == 3_000

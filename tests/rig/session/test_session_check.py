@@ -250,9 +250,9 @@ def test_a_ladder_costs_more_the_higher_the_limit_lies() -> None:
 # Heat
 
 
-def heat(schemes: Protocol, trials: int, share: float, press: float = 1.5) -> Any:
+def heat(schemes: Protocol, trials: int, share: float) -> Any:
     base = base_of(schemes, Path())
-    x = override(Walls(schemes, base).at(schemes.condition[0], 0.1, 200.0), {"operator.press": press})
+    x = override(Walls(schemes, base).at(schemes.condition[0], 0.1, 200.0), {"operator.press": 1.5})
     times = trial_times(x, ready_s=3.0, verdict_s=2.0)
     return heat_of(x, times, trials, share), times, x
 

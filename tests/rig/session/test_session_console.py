@@ -408,8 +408,8 @@ def test_each_line_is_printed_once() -> None:
 # The running loop
 
 
-def ring_with(rows: int, capacity: int = 8192) -> Ring:
-    ring = Ring.allocate(capacity)
+def ring_with(rows: int) -> Ring:
+    ring = Ring.allocate(8192)
     numbers = np.arange(rows)
     made = np.zeros(rows, ROW)
     made["received_at"] = 1_000_000 * numbers
@@ -419,7 +419,7 @@ def ring_with(rows: int, capacity: int = 8192) -> Ring:
     made["effort_applied"] = -0.1
     made["penetration"] = 0.01
     made["flags"][-1:] = RowFlag.SATURATED
-    ring.rows[numbers % capacity] = made
+    ring.rows[numbers % 8192] = made
     ring.words[control_words.HEAD] = rows
     ring.words[control_words.PHASE] = Phase.TRIAL
     ring.words[control_words.LATE] = 7
