@@ -224,3 +224,23 @@ async def test_a_reply_that_is_too_long_is_an_error_and_ends_its_process(
         assert errands._all == set()
     finally:
         await errands.close()
+
+
+async def test_no_more_processes_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[object] = []
+
+    async def start(errands: Errands) -> object:
+        started.append(object())
+        return started[-1]
+
+    async def asked(process: object, message: object, compiling: object) -> object:
+        await asyncio.sleep(0.01)
+        return {"result": process}, b""
+
+    monkeypatch.setattr(Errands, "_start", start)
+    monkeypatch.setattr(sent, "_request", asked)
+
+    errands = Errands()
+    done = await asyncio.gather(*(errands.run("map") for _ in range(3 * sent.MOST)))
+    assert {id(process) for process, _ in done} == {id(process) for process in started}
+    assert len(started) == sent.MOST

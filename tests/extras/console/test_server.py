@@ -426,6 +426,10 @@ async def test_one_page_operates_and_the_others_look_on(tmp_path: Path) -> None:
     ):
         assert (await one.ask("operate", take=True))["result"] == {"operates": True}
         assert (await two.ask("operate", take=True))["result"] == {"operates": False}
+        refused = await one.ask("hand", position=0.1)
+        assert "no run with a dragged handle" in refused["error"]["error"], (
+            "a session's hand uses the same file"
+        )
         refused = await two.ask("hand", position=0.1)
         assert "another page operates" in refused["error"]["error"]
         refused = await two.ask("run", job="hit")
@@ -485,6 +489,15 @@ async def test_a_page_that_reads_nothing_has_a_bound(tmp_path: Path, monkeypatch
             clients[1].put_newest({"say": "a test", "velocity": float("nan")})
             message = await page.until(lambda page: page.newest("a test"))
             assert message["velocity"] is None, "what a browser reads"
+
+
+@pytest.mark.parametrize("do", ["experiment", "regions", "run"])
+async def test_no_page_chooses_a_program(do: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+    more: dict[str, Any] = {"regions": {"damping": 0.1}, "run": {"job": "hit"}}.get(do, {})
+    async with served(tmp_path) as console, console.page() as page:
+        answer = await page.ask(do, changes={"wall.law": "rm"}, **more)
+        assert "wall.law cannot be changed from a page" in answer["error"]["error"]
 
 
 async def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_path: Path) -> None:

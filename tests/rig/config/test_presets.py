@@ -22,6 +22,19 @@ def test_a_preset_ships_as_a_readable_file_that_is_its_text(name: str) -> None:
     assert experiment_from_mapping(tomllib.loads(text), name) == presets.load(name)
 
 
+RATINGS = {  # of Koul et al.'s motor, encoder and capstan, by their data sheets
+    "amplifier": {"effort_per_ampere": 0.234, "effort_limit": 1.3, "back_emf_damping": 0.0253},
+    "encoder": {"counts_per_revolution": 1000, "decoding": 4, "ratio": 10.0},
+    "limits": {"nominal_effort": 0.286, "effort": 1.3, "thermal_time_constant_s": 12.0},
+}
+
+
+@pytest.mark.parametrize("name", ["koul-compliant", "koul-rigid"])
+def test_a_papers_motor_is_protected_by_the_ratings_of_its_data_sheet(name: str) -> None:
+    rig = config.as_mapping(presets.load(name))["rig"]
+    assert {part: {key: rig[part][key] for key in known} for part, known in RATINGS.items()} == RATINGS
+
+
 @pytest.mark.parametrize("late", [0, 1])
 @pytest.mark.parametrize("name", presets.names())
 def test_the_default_wall_of_a_preset_is_stable_and_feels_hard(name: str, late: int) -> None:
