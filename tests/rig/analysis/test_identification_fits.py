@@ -61,6 +61,7 @@ def test_an_interval_from_scatter_is_students() -> None:
     assert found.holds(2.5)
     assert not found.holds(10.0)
     assert from_scatter(1.0, [1.0]).ci95 == math.inf
+    assert Interval(3.2042e-4, 3.5e-7).text("kg") == "(3.2042 ± 0.0035)e-04 kg"
     assert plain(from_scatter(1.0, [1.0])) == {"value": 1.0, "ci95": None}
 
 

@@ -44,6 +44,12 @@ def test_rows_are_the_numbers_of_the_verdict_in_si_units(result: HitResult) -> N
     assert rows["verdict"].value is verdict.kind is Kind.STABLE
 
 
+def test_a_handle_that_never_settles_has_no_resting_penetration(result: HitResult) -> None:
+    judgement = result.recorded.judgement
+    never = replace(judgement, verdict=replace(judgement.verdict, settling_s=None))
+    assert "resting penetration" not in {row.label for row in never.rows(result.experiment)}
+
+
 def test_a_ripple_below_a_count_is_not_measurable_and_null_in_json(result: HitResult) -> None:
     assert result.verdict.felt is None
     assert rows_of(result)["felt (velocity ripple, rms)"].value == "not measurable"

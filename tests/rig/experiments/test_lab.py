@@ -167,5 +167,6 @@ def test_a_plan_behind_a_link_is_judged_with_its_delay(link: dict[str, Any]) -> 
     experiment = rig.load("koul-compliant")
     bare, planned = rig.plan(experiment), rig.plan(experiment, **link)
     assert (bare.ok, "delay" in {check.name for check in bare.checks}) == (True, False)
+    assert not rig.plan(experiment, changes={"rig.limits.speed": 0.5}, **link).ok
     judged = delay_checks(config.with_realtime(experiment), link.get("round_trip_s"))
     assert [check for check in planned.checks if check in judged] == judged

@@ -168,6 +168,9 @@ def test_motor_heat_over_all_repeats() -> None:
     few = change({**hot, "trial.repeats": max(1, math.floor(limit_s * 0.9))})
     assert check(few, "motor heat").outcome == Outcome.OK
     many = change({**hot, "trial.repeats": math.ceil(limit_s * 1.1)})
+    assert make_plan(many).duration_s == pytest.approx(
+        many.trial.repeats * make_plan(few).duration_s / few.trial.repeats
+    )
     assert check(many, "motor heat").outcome == Outcome.REFUSED
     assert check(change({"trial.repeats": 100_000}), "motor heat").outcome == Outcome.OK
 
