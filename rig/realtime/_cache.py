@@ -88,7 +88,7 @@ def _make_private(place: Path) -> Path | None:
     except (OSError, RuntimeError):
         return None
     _log.warning(
-        "%s, so no compiled code is loaded from it; run chmod 700, or set HAPTIC_RIG_CACHE to another directory",
+        "%s, so no compiled code is loaded from it; set HAPTIC_RIG_CACHE to a directory that only you can write",
         reason,
     )
     return None
