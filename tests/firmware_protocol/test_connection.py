@@ -144,7 +144,7 @@ def test_each_message_in_each_state_follows_the_table(state: State) -> None:
 
 @pytest.mark.parametrize("state", State)
 @pytest.mark.parametrize("cls", [m.State, m.Batch])
-def test_device_sends_unasked_only_the_messages_of_its_state(
+def test_device_sends_unasked_only_what_its_state_allows(
     pair: Pair, state: State, cls: type[Message]
 ) -> None:
     pair.bring_to(state)
@@ -224,9 +224,7 @@ def test_refusal_for_the_state_contains_the_state(pair: Pair) -> None:
         (m.Disarm(4, 0), State.RUNNING, State.CONFIGURED),
     ],
 )
-def test_a_lost_answer_is_repeated_and_the_request_done_once(
-    pair: Pair, message: Message, before: State, after: State
-) -> None:
+def test_a_repeated_request_is_done_once(pair: Pair, message: Message, before: State, after: State) -> None:
     pair.bring_to(before)
     pair.executed.clear()
     session = SESSION if isinstance(message, m.Arm) else None

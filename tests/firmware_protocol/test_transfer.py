@@ -25,9 +25,7 @@ def give(assembler: Assembler, message: SetBegin | SetChunk | SetCommit) -> tupl
 
 
 @given(blocks, st.integers(0, 65535), st.randoms(use_true_random=False))
-def test_a_block_arrives_whatever_the_order_and_the_repeats(
-    block: bytes, nonce: int, shuffle: random.Random
-) -> None:
+def test_a_block_arrives_in_any_order_with_repeats(block: bytes, nonce: int, shuffle: random.Random) -> None:
     begin, *chunks, commit = set_parameters(block, nonce)
     chunks = chunks + shuffle.sample(chunks, len(chunks) // 2)
     shuffle.shuffle(chunks)

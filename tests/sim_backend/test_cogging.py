@@ -64,9 +64,7 @@ def test_a_free_motor_that_cogs_swings_like_a_pendulum() -> None:
     ),
     speed=st.floats(-0.2, 0.2, allow_subnormal=False),
 )
-def test_cogging_neither_makes_energy_nor_takes_any(
-    rig: RigModel, hand: Operator | None, harmonics: Any, speed: float
-) -> None:
+def test_cogging_conserves_energy(rig: RigModel, hand: Operator | None, harmonics: Any, speed: float) -> None:
     """Over a second the energy varies by the error of a leapfrog step and does not drift."""
     model = cogging(rig, *harmonics).held_by(hand, None)
     plant = DiscretePlant.build(model, 0.02)  # of many inner steps
@@ -91,9 +89,7 @@ def test_cogging_neither_makes_energy_nor_takes_any(
         (LINEAR, None, 2e-4), (LINEAR, GRIPS["normal"], 0.0), (LOSSLESS, None, 0.0), (LOSSLESS, GRIPS["normal"], 2e-4),
     ],
 )  # fmt: skip
-def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
-    rig: RigModel, hand: Operator | None, lag_s: float
-) -> None:
+def test_a_motor_that_hardly_cogs_moves_freely(rig: RigModel, hand: Operator | None, lag_s: float) -> None:
     scale = EFFORTS[rig.motion]
     rubs = replace(
         rig.mechanics, motor_coulomb=0.1 * scale, link_coulomb=0.07 * scale, link_damping=0.1 * scale
@@ -109,9 +105,8 @@ def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
         pairs.append((free.hand_position, full.hand_position or 0))
     for tick in range(150):
         command = 0.4 * scale * math.sin(2.0 * math.pi * tick / 150.0)
-        assert advance(free.arguments(a), command, 0.05 * scale) == advance(
-            full.arguments(b), command, 0.05 * scale
-        )
+        push = command, 0.05 * scale
+        assert advance(free.arguments(a), *push) == advance(full.arguments(b), *push)
         for here, there in pairs:
             assert b[there : there + 2] == pytest.approx(a[here : here + 2], rel=1e-9, abs=1e-13)
         assert b[full.effort] == pytest.approx(a[free.effort], rel=1e-9, abs=1e-13)
@@ -142,9 +137,7 @@ def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcom
             assert np.sign(moved[-1]) == np.sign(command)
 
 
-def rippling(
-    shares: dict[int, tuple[float, float]], lag_s: float, period: float = PERIODS["linear"]
-) -> RigModel:
+def rippling(shares: dict[int, Any], lag_s: float, period: float = PERIODS["linear"]) -> RigModel:
     """Return a mass moved by its motor alone, whose effort varies by these shares (order: cosine, sine)."""
     orders, zeros = tuple(shares), (0.0,) * len(shares)
     cosine, sine = zip(*shares.values(), strict=True)

@@ -261,9 +261,7 @@ def test_the_thermal_model_brings_the_current_down_to_what_the_motor_bears() -> 
 @pytest.mark.parametrize(
     ("lifetime_us", "rate"), [(100, 3_000), (3_333, 200), (3_333, 20_000), (20_000, 1_000)]
 )
-def test_silence_brings_the_effort_to_exactly_zero_within_lifetime_and_ramp(
-    lifetime_us: int, rate: int
-) -> None:
+def test_silence_ends_in_exactly_zero_effort_within_lifetime_and_ramp(lifetime_us: int, rate: int) -> None:
     host = armed(position_rate=rate)
     exchange(host, 300, ticks=3)
     host.command(300, lifetime_us=lifetime_us)
@@ -301,9 +299,7 @@ def test_limits_stay_active_in_the_ramp_which_begins_at_what_they_left() -> None
 
 
 @given(st.integers(-500, 500), st.integers(0, 400), st.integers(0, 400), st.integers(1, 50))
-def test_the_ramp_never_rises_and_never_changes_sign(
-    current: int, lifetime: int, ramp: int, step: int
-) -> None:
+def test_the_ramp_never_rises_or_changes_sign(current: int, lifetime: int, ramp: int, step: int) -> None:
     rules = flat(np.int64, len(AT))
     feed(rules, 0, current, lifetime, ramp)
     sizes, rules[AT.current] = [], current

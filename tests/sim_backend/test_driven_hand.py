@@ -207,7 +207,5 @@ def test_hardware_plays_it_and_the_handle_goes_along() -> None:
     for _ in range(round(0.8 * RATE)):
         wishes.set(START + 0.05)
         hardware.advance(0)
-    resolution = MODEL.encoder.resolution
-    assert (hardware.count - before) * resolution == pytest.approx(0.05, abs=0.003), (
-        "friction holds some of it"
-    )
+    moved = (hardware.count - before) * MODEL.encoder.resolution
+    assert moved == pytest.approx(0.05, abs=0.003), "friction holds some of it"

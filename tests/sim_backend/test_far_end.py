@@ -172,9 +172,7 @@ def test_a_closed_one_is_eio() -> None:
     assert wire.link.failure() is None
 
 
-def test_without_a_c_compiler_the_readable_device_stands_in_and_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_compiler_the_readable_device_stands_in_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
     url = DeviceUrl.parse("sim://test")
     link = links.open_link(url, rotary_rig())

@@ -138,9 +138,7 @@ def test_without_a_compiler_it_says_what_to_install(tmp_path: Path, monkeypatch:
         ('#!/bin/sh\necho "at home in $HOME" >&2\nexit 1\n', "at home in /"),  # ziglang needs one
     ],
 )
-def test_a_compiler_that_fails_is_quoted(
-    script: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_compiler_is_quoted(script: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiler = tmp_path / "mycc"
     compiler.write_text(script)
     compiler.chmod(compiler.stat().st_mode | stat.S_IXUSR)

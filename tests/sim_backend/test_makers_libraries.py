@@ -179,9 +179,7 @@ def test_the_messages_are_those_of_the_makers_description() -> None:
 
 def test_each_error_has_the_name_that_the_maker_gives_its_bit() -> None:
     description = Described(Odrive()).base
-    (signal,) = (
-        s for s in description.get_message_by_name("Axis0_Get_Error").signals if s.name == "Active_Errors"
-    )
+    signal = description.get_message_by_name("Axis0_Get_Error").get_signal_by_name("Active_Errors")
     for error in Error:
         assert str(signal.choices[int(error)]) == error.name
 

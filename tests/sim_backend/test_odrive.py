@@ -178,10 +178,8 @@ def test_a_parameter_is_read_and_written_by_the_number_of_its_path() -> None:
     flag = endpoints["axis0.controller.config.enable_torque_mode_vel_limit"]
     assert (limit["type"], flag["type"]) == ("float", "bool")
     (answer,) = drive.send(CanSimpleCommand.RX_SDO, "BHB", 0, flag["id"], 0)
-    assert (answer.identifier, answer.data) == (
-        CanSimpleCommand.TX_SDO,
-        struct.pack("<BHB?", 0, flag["id"], 0, True),
-    )
+    assert answer.identifier == CanSimpleCommand.TX_SDO
+    assert answer.data == struct.pack("<BHB?", 0, flag["id"], 0, True)
     (confirmed,) = drive.send(CanSimpleCommand.RX_SDO, "BHBf", 1, limit["id"], 0, 7.5)
     assert confirmed.data == struct.pack("<BHB", 0, limit["id"], 0)
     (answer,) = drive.send(CanSimpleCommand.RX_SDO, "BHB", 0, limit["id"], 0)

@@ -169,9 +169,7 @@ def test_delayed_commands_and_intentions_do_not_mix() -> None:
     coulomb=st.sampled_from([0.0, 0.3]),
 )
 @settings(max_examples=8)
-def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
-    rig: RigModel, start: list[float], coulomb: float
-) -> None:
+def test_a_rig_in_a_relaxed_hand_creates_no_energy(rig: RigModel, start: list[float], coulomb: float) -> None:
     """Energy may rise only in a step in which a mass stops or turns, by at most the friction times its travel.
 
     The energy is that of both masses, the pads, the hand and all springs; the intended position is zero.

@@ -127,9 +127,7 @@ def test_without_friction_the_motion_is_that_of_an_independent_solver(
 @pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("operator", [None, GRIPS["normal"]], ids=["free", "held"])
 @pytest.mark.parametrize("lag_s", [0.0, 2e-4])
-def test_effort_under_voltage_drive_is_the_command_less_the_back_emf(
-    rig: RigModel, operator: Operator | None, lag_s: float
-) -> None:
+def test_voltage_drive_subtracts_the_back_emf(rig: RigModel, operator: Operator | None, lag_s: float) -> None:
     """Check against an independent solver with the effort lag·T′ = command − b·ω − T."""
     emf = 0.05
     rig = with_mechanics(rig, motor_damping=0.004, **FRICTIONLESS).held_by(operator, None)
@@ -207,9 +205,7 @@ def test_a_computation_delay_shifts_the_response_by_whole_ticks(delay_ticks: int
 @pytest.mark.parametrize(
     ("delay_s", "ticks"), [(TICK_S, 1), (0.2 * TICK_S, 1), (5 * TICK_S, 5), (5.1 * TICK_S, 6)]
 )
-def test_the_way_of_a_set_point_counts_in_whole_ticks_rounded_up_beside_the_computation(
-    delay_s: float, ticks: int
-) -> None:
+def test_a_set_point_delay_is_rounded_up_to_ticks_beside_the_computation(delay_s: float, ticks: int) -> None:
     late = with_amplifier(with_simulation(ROTARY, computation_delay_ticks=2), set_point_delay_s=delay_s)
     assert late.delay_ticks(TICK_S) == DiscretePlant.build(late, TICK_S).delay_ticks == 2 + ticks
     assert late.delay_ticks(TICK_S / 10) == 2 + round(10 * delay_s / TICK_S)
@@ -258,9 +254,7 @@ def test_the_end_mass_falls_and_an_equal_effort_holds_it(structure: str) -> None
     ],
     ids=["rigid", "rigid balanced", "two-mass", "two-mass both"],
 )
-def test_a_push_below_the_friction_level_moves_nothing_exactly(
-    rig: RigModel, command: float, external: float, lag_s: float
-) -> None:
+def test_friction_holds_a_smaller_push(rig: RigModel, command: float, external: float, lag_s: float) -> None:
     plant = DiscretePlant.build(with_amplifier(rig, lag_s=lag_s), TICK_S)
     start = plant.at_rest(0.1234)
     start[plant.effort] = command  # the effort is there already: a rising one might slip past its balance
@@ -341,9 +335,7 @@ def test_stick_slip_under_a_slow_push_is_that_of_the_closed_form() -> None:
     velocity=st.floats(1e-3, 0.2), direction=st.sampled_from([-1, 1]), offset=st.sampled_from([0.0, 0.3, 0.5])
 )
 @settings(max_examples=12)
-def test_at_constant_velocity_the_last_edge_is_dated_exactly(
-    velocity: float, direction: int, offset: float
-) -> None:
+def test_at_constant_speed_edges_are_dated_exactly(velocity: float, direction: int, offset: float) -> None:
     """Speeds range from less than one edge in five ticks to ten edges per tick, in both directions."""
     rig = replace(LINEAR, encoder=Encoder(quantum=1e-6, offset=offset))
     plant = DiscretePlant.build(rig, TICK_S)

@@ -53,9 +53,7 @@ def test_the_sensor_rounds_and_saturates_like_the_command(current_a: float, quan
     st.integers(2, 17),
     st.sampled_from([-1, 1]),
 )
-def test_an_index_is_latched_where_it_begins_however_far_a_tick_goes(
-    counts: list[int], first: int, every: int, way: int
-) -> None:
+def test_an_index_is_latched_where_it_begins(counts: list[int], first: int, every: int, way: int) -> None:
     """The oracle moves the handle count by count: entering an index cell, from either side, is one edge."""
     wires = Wires(
         effort_quantum=1.0, ampere_per_effort=1.0, quantum_a=1.0, external_effort=0.0, slip=100, leak=0,

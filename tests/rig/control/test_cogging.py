@@ -105,9 +105,7 @@ def test_handle_moves_as_if_nothing_cogged(rig_hit: Hits) -> None:
     outside = rows[rows["penetration"] < 0.0]
     quantum = helped.rig.amplifier.effort_quantum
     push = helped.trial.effort - MAP.effort(outside["position"])
-    assert outside["effort_wall"] == pytest.approx(MAP.effort(outside["position"]), abs=1e-12), (
-        "against the side"
-    )
+    assert outside["effort_wall"] == pytest.approx(MAP.effort(outside["position"]), abs=1e-12)
     assert outside["effort_wanted"] == pytest.approx(push, abs=1e-12)
     assert outside["effort_sent"] == pytest.approx(push, abs=0.51 * quantum)
 

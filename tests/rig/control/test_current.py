@@ -79,9 +79,7 @@ def commands(rate: int, seed: int, ticks: int = 0) -> Any:
     st.integers(0, 2**32 - 1),
     st.floats(0.0, 20.0, allow_subnormal=False),
 )
-def test_sound_amplifier_never_disagrees(
-    rate: int, lag_s: float, share: float, seed: int, noise: float
-) -> None:
+def test_sound_motor_never_disagrees(rate: int, lag_s: float, share: float, seed: int, noise: float) -> None:
     """The true lag is one of those for which the check predicts the current."""
     active = commands(rate, seed)
     random = np.random.default_rng(seed + 1)
@@ -139,9 +137,7 @@ def test_currents_on_their_way_when_samples_were_lost_are_not_compared() -> None
     st.integers(0, 2**32 - 1),
     st.sampled_from([0.0, -1.0, 5.0, 0.5, 1.25]),
 )
-def test_other_current_disagrees_in_each_clear_window(
-    rate: int, lag_s: float, seed: int, gain: float
-) -> None:
+def test_other_current_disagrees_in_clear_windows(rate: int, lag_s: float, seed: int, gain: float) -> None:
     active = commands(rate, seed)
     flowing = lagged(active, rate, lag_s)
     words = new_check(rate, noise=1.0, lag_s=lag_s)

@@ -33,9 +33,7 @@ def lively(n: int = 400, seed: int = 1) -> np.ndarray:
     offset=st.floats(0, 1, allow_subnormal=False),
     sign=st.sampled_from([-1, 1]),
 )
-def test_quantise_gives_the_counts_of_the_simulated_encoder(
-    position: float, resolution: float, offset: float, sign: Any
-) -> None:
+def test_quantise_counts_as_the_encoder(position: float, resolution: float, offset: float, sign: Any) -> None:
     found = quantise(position, sign * resolution, offset=offset)
     assert found == encoder_count(position, resolution, offset, sign)
     assert found.dtype == np.int64

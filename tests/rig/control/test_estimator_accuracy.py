@@ -44,9 +44,7 @@ def test_estimators_are_as_good_as_the_table_says(signal: str, rate_hz: int, res
     key = (signal, rate_hz, resolution)
     rows = [row for row in TABLE["rows"] if (row["case"], row["rate_hz"], row["resolution"]) == key]
     changed = [text for row in rows for text in differences(row)]
-    assert not changed, f"if that is meant, {accuracy.REGENERATE} ESTIMATOR and commit:\n" + "\n".join(
-        changed
-    )
+    assert not changed, "\n".join([f"if that is meant, {accuracy.REGENERATE} ESTIMATOR", *changed])
 
 
 @pytest.mark.parametrize("name", accuracy.scored())

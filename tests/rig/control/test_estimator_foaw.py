@@ -79,9 +79,7 @@ def textbook(fit: Any, anchor: Any, stop: Any, band: Any, limit: Any, counts: An
     limit=st.sampled_from([1, 2, 7, 16, 64]),
     samples=SAMPLES,
 )
-def test_every_variant_finds_the_textbooks_windows(
-    option: Any, stop: Any, band: Any, limit: Any, samples: Any
-) -> None:
+def test_windows_are_the_textbooks(option: Any, stop: Any, band: Any, limit: Any, samples: Any) -> None:
     """Cones and running sums give the same windows as testing every line, also where samples were lost."""
     fit, anchor = option
     counts = np.cumsum([step for step, _ in samples]).tolist()

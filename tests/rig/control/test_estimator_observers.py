@@ -116,9 +116,7 @@ def test_an_estimator_that_uses_the_effort_is_refused_without_it() -> None:
 
 
 @pytest.mark.parametrize(("kind", "inertia"), [("constant-effort", 1.02e-3), ("human", 3.2e-4)])
-def test_the_inertia_of_an_observer_includes_the_end_mass_only_where_it_hangs(
-    kind: str, inertia: float
-) -> None:
+def test_an_observers_inertia_includes_the_end_mass_only_where_it_hangs(kind: str, inertia: float) -> None:
     """A bug gave a person's trial, which has no end mass, an observer with 3.2 times the true inertia."""
     x = rig.load("koul-rigid", changes={"trial.kind": kind, "rig.limits.human": False})
     assert settings_of_rig(x)["inertia"] == pytest.approx(inertia)

@@ -51,9 +51,7 @@ def velocities(prepared: Any, counts: Any, ages: Any, elapsed: Any = None) -> An
     start=st.floats(0, 1, allow_subnormal=False),
     name=st.sampled_from(NAMES),
 )
-def test_steady_motion_reads_to_the_resolution_of_edge_times(
-    speed: Any, sign: Any, start: float, name: Any
-) -> None:
+def test_steady_motion_reads_to_the_edges_resolution(speed: Any, sign: Any, start: float, name: Any) -> None:
     """The estimate holds from the second edge; its two edges are at least half a period or one count apart."""
     samples = 20 + math.ceil(4 / speed)
     counts, ages = steady(sign * speed, start, samples)
@@ -185,9 +183,7 @@ def test_any_counts_ages_and_gaps_give_a_finite_velocity(data: Any, name: Any) -
     ages=st.lists(st.floats(0, 2 * PERIOD), min_size=100, max_size=100),
     name=st.sampled_from(NAMES),
 )
-def test_velocity_is_at_most_one_count_since_the_last_edge(
-    motion: list[int], ages: list[float], name: Any
-) -> None:
+def test_velocity_is_at_most_a_count_since_last_edge(motion: list[int], ages: list[float], name: Any) -> None:
     ages = np.array(ages[: len(motion)])
     v = velocities(prepare(name), np.cumsum(motion), ages)
     used = np.where(np.diff(np.cumsum(motion), prepend=0) != 0, np.minimum(ages, PERIOD), ages)
@@ -219,7 +215,7 @@ def test_the_row_shows_over_how_many_periods_it_looks() -> None:
 
 def test_a_window_beyond_the_memory_is_refused() -> None:
     with pytest.raises(
-        ConfigError, match=r"window_s = 0\.2 s spans 400 velocity periods.*at most 256 periods, 0\.128 s"
+        ConfigError, match=r"window_s = 0\.2 s spans 400 velocity periods.*at most 256 periods"
     ):
         prepare("period-frequency", window_s=0.2)
     assert prepare("period-frequency", window_s=1e-6).parameters[3] == 1.0

@@ -63,6 +63,4 @@ def test_the_poles_of_its_velocity_are_those_of_the_design_for_a_high_rate() -> 
     poles, mode = np.log(np.linalg.eigvals(found.a)) / 1e-5, np.sqrt(2310.0 / 1.9e-4 + 2310.0 / 1.58e-3)
     assert sorted(abs(poles)) == pytest.approx([*3 * [2.0 * np.pi * 150.0], *2 * [mode]], rel=0.08)
     assert found.of_effort is not None
-    assert found.of_effort.impulse(1) == pytest.approx(
-        1e-5 / 1.9e-4, rel=0.01
-    )  # 1 N·m at the motor's inertia
+    assert found.of_effort.impulse(1) == pytest.approx(1e-5 / 1.9e-4, rel=0.01)  # N·m at the motor's inertia

@@ -43,9 +43,7 @@ def test_a_setting_out_of_range_is_refused_with_value_and_range(value: Any) -> N
 
 @pytest.mark.parametrize("cutoff_hz", [1000.0, 1200.0])
 def test_a_cut_off_at_or_above_nyquist_cannot_be_realised(cutoff_hz: float) -> None:
-    with pytest.raises(
-        ConfigError, match=rf"cutoff_hz = {cutoff_hz:g} Hz .* Nyquist frequency 1000 Hz.*200 Hz"
-    ):
+    with pytest.raises(ConfigError, match=rf"cutoff_hz = {cutoff_hz:g} Hz .* Nyquist .* 1000 Hz.*200 Hz"):
         butterworth(cutoff_hz=cutoff_hz)
     butterworth(cutoff_hz=999.0)
 

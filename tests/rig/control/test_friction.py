@@ -51,9 +51,7 @@ levels = st.floats(0.0, 1.0, allow_subnormal=False)
     down=levels,
     share=st.floats(0.0, 0.99, allow_subnormal=False),
 )
-def test_compensation_and_friction_dissipate_for_any_estimate(
-    velocity: Any, estimate: Any, up: Any, down: Any, share: float
-) -> None:
+def test_friction_remains_dissipative(velocity: Any, estimate: Any, up: Any, down: Any, share: float) -> None:
     """Check u·v − level·|v| ≤ −(1 − share)·level·|v|; with a wrong direction the smaller level applies."""
     effort = compensation(estimate, up, down, 0.1, share)
     rubbing = up if velocity > 0.0 else down
@@ -77,9 +75,7 @@ def test_compensation_is_odd_and_smooth(velocity: Any, share: float, level: Any)
     if abs(velocity) >= 0.5:
         assert abs(effort) == share * level
     nearby = compensation(velocity + 1e-6, level, level, 0.5, share)
-    assert abs(nearby - effort) <= 1.5 * share * level / 0.5 * 1e-6 + 1e-12, (
-        "its slope is 1.5·level/dead band at most"
-    )
+    assert abs(nearby - effort) <= 1.5 * share * level / 0.5 * 1e-6 + 1e-12, "slope 1.5·level/dead band"
 
 
 @pytest.mark.parametrize(

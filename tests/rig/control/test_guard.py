@@ -30,9 +30,7 @@ def test_an_effort_that_is_not_finite_becomes_zero_not_the_limit(effort: float) 
 
 
 @given(effort=EFFORT, previous=EFFORT, step=LIMIT)
-def test_slew_limit_stops_between_previous_and_new_effort(
-    effort: float, previous: float, step: float
-) -> None:
+def test_slew_limit_ends_between_previous_and_new_effort(effort: float, previous: float, step: float) -> None:
     result = limit_slew(effort, previous, step)
     assert min(effort, previous) <= result <= max(effort, previous)
     # Within rounding of the step, `previous + step` may be just below the effort: the second branch accepts both.

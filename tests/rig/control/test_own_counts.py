@@ -82,9 +82,7 @@ def test_missing_counts_are_lost_samples_by_the_remedy(kind: str, gaps: bool, ed
     arrays = {"elapsed": steps} if gaps else {}
     if edges:
         arrays["edge_time"] = DT * (np.cumsum(steps if gaps else np.ones(40)) - 1.0)
-    with pytest.raises(
-        ConfigError, match=r"counts is not a number at indices 0, 1, 9, 10, 11 … \(6 of 40\)"
-    ) as caught:
+    with pytest.raises(ConfigError, match=r"at indices 0, 1, 9, 10, 11 … \(6 of 40\)") as caught:
         speeds(counts, **arrays)
     given = apply(caught.value.remedy, counts=counts, **arrays)
     assert set(given) == {"counts", "elapsed", *arrays}
@@ -197,9 +195,7 @@ def test_a_motion_too_fast_for_its_counter_is_reported(width: int) -> None:
     steps = np.linspace(0, 1.3 * half, 60).astype(np.int64)
     counts = np.cumsum(steps) % 2**width
     within = steps < half
-    assert estimate("fdm", counts[within], DT, resolution=DELTA, width=width) == pytest.approx(
-        steps[within] * DELTA / DT
-    )
+    assert speeds(counts[within], width=width) == pytest.approx(steps[within][1:] * DELTA / DT)
     with pytest.raises(ConfigError, match=rf"of a {width} bit counter"):
         speeds(counts, width=width)
 

@@ -12,11 +12,9 @@ from rig.control import _passivity as passivity
 from rig.core.errors import ConfigError
 
 TICK_S = 1e-3
-REACTION, ENERGY, SPEED = (
-    st.floats(0.0, 50.0, allow_subnormal=False),
-    st.floats(-1.0, 1.0, allow_subnormal=False),
-    st.floats(-5.0, 5.0, allow_subnormal=False),
-)
+REACTION = st.floats(0.0, 50.0, allow_subnormal=False)
+ENERGY = st.floats(-1.0, 1.0, allow_subnormal=False)
+SPEED = st.floats(-5.0, 5.0, allow_subnormal=False)
 ROUNDING = 1e-12
 
 
@@ -44,7 +42,7 @@ def test_a_wall_that_pulls_already_is_not_made_to_push() -> None:
 
 
 @pytest.mark.parametrize(("limit", "passive"), [(0.0, False), (1.0, True)])
-def test_an_undamped_sampled_wall_is_active_and_the_controller_takes_its_energy_back(
+def test_the_controller_takes_back_the_energy_of_an_undamped_sampled_wall(
     limit: float, passive: bool
 ) -> None:
     """A sampled and held spring adds energy at each bounce: the handle leaves faster than it came."""

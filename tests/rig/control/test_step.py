@@ -121,7 +121,7 @@ def spy(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, paramet
 
 @kernel(ESTIMATOR_SIGNATURE)
 def recorder(
-    count: Any, edge_age_s: Any, elapsed_ticks: Any, effort: Any, state_f: Any, state_i: Any, parameters: Any
+    count: Any, age: Any, elapsed_ticks: Any, effort: Any, state_f: Any, state_i: Any, p: Any
 ) -> Any:
     """Store the arguments in the state and return the number of calls."""
     state_i[0] += 1
@@ -132,9 +132,7 @@ def recorder(
 
 
 @kernel(ESTIMATOR_SIGNATURE)
-def blind(
-    count: Any, edge_age_s: Any, elapsed_ticks: Any, effort: Any, state_f: Any, state_i: Any, parameters: Any
-) -> Any:
+def blind(count: Any, age: Any, elapsed_ticks: Any, effort: Any, state_f: Any, state_i: Any, p: Any) -> Any:
     return math.nan
 
 

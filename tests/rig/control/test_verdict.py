@@ -430,9 +430,7 @@ REST_NUMBERS = measured(REST).numbers
         ({"moved": 1.3e-3}, Kind.LIMIT_CYCLE, False),
     ],
 )
-def test_each_number_decides_kind_and_pass(
-    changed: dict[str, float], kind: Kind, passes: bool | None
-) -> None:
+def test_numbers_decide_kind_and_pass(changed: dict[str, float], kind: Kind, passes: bool | None) -> None:
     numbers = REST_NUMBERS.copy()
     for name, value in changed.items():
         numbers[name] = value

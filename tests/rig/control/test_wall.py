@@ -46,9 +46,7 @@ def test_inside_it_is_a_spring_and_a_damper(depth: Any, velocity: Any, stiffness
 
 
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
-def test_clamped_wall_never_pulls_and_marks_it(
-    depth: Any, velocity: Any, stiffness: Any, damping: Any
-) -> None:
+def test_clamping_never_pulls_and_is_marked(depth: Any, velocity: Any, stiffness: Any, damping: Any) -> None:
     clamped, pulling = wall(stiffness, damping), wall(stiffness, damping, pull="allow")
     free = reaction(pulling, depth, velocity)
     assert reaction(clamped, depth, velocity) == max(free, 0.0)
@@ -57,9 +55,7 @@ def test_clamped_wall_never_pulls_and_marks_it(
 
 
 @given(depth=DEPTH, velocity=VELOCITY, stiffness=STIFFNESS, damping=DAMPING)
-def test_damping_on_entry_leaves_a_spring_on_the_way_out(
-    depth: Any, velocity: Any, stiffness: Any, damping: Any
-) -> None:
+def test_damping_on_entry_has_none_on_exit(depth: Any, velocity: Any, stiffness: Any, damping: Any) -> None:
     law = wall(stiffness, damping, damping_on="entry")
     assert reaction(law, depth, velocity) == stiffness * depth + damping * max(velocity, 0.0)
 

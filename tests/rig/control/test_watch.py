@@ -113,9 +113,7 @@ def test_so_many_oscillations_in_a_row_end_the_run() -> None:
         ({"skip_homing": False, "home_target": 1.0, "home_tolerance": 0.0}, -4, 4, 6),
     ],
 )
-def test_motion_that_is_no_violent_oscillation_continues(
-    changes: Any, low: int, high: int, period: int
-) -> None:
+def test_motion_without_violent_oscillation_continues(changes: Any, low: int, high: int, period: int) -> None:
     tick = Tick(**OSCILLATES | changes)
     assert oscillate(tick, period, 20, low, high) is None
     assert tick.oscillations < 4

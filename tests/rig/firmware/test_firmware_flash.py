@@ -55,9 +55,7 @@ def test_the_image_is_copied_and_the_board_starts(image: Any, drive: Any) -> Non
     assert done.bytes == image.stat().st_size
 
 
-def test_a_running_device_is_requested_to_show_its_drive(
-    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_running_device_shows_its_drive(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     (drive / "INFO_UF2.TXT").unlink()
     asked = []
 
@@ -77,9 +75,7 @@ def test_a_device_without_a_boot_loader_refuses_the_request(image: Any, drive: A
         flash(image, url="sim://koul-rigid")
 
 
-def test_without_a_drive_the_error_names_the_button_to_hold(
-    image: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_missing_drive_names_a_button(image: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(flashing, "_mount_points", list)
     with pytest.raises(DeviceNotFoundError, match="BOOTSEL"):
         flash(image)
@@ -112,9 +108,7 @@ def test_an_image_for_another_processor_or_board_is_refused(image: Any, drive: A
     assert not (drive / "a.uf2").exists()
 
 
-def test_a_board_that_does_not_start_or_a_drive_that_cannot_be_written_is_an_error(
-    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_start_or_copy_is_an_error(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flashing, "VANISH_S", 0.0)
     with pytest.raises(LinkLostError, match="did not accept the image"):
         flash(image)
@@ -124,9 +118,7 @@ def test_a_board_that_does_not_start_or_a_drive_that_cannot_be_written_is_an_err
         flash(image)
 
 
-def test_a_board_that_disappears_in_mid_copy_is_an_error(
-    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_board_lost_in_mid_copy_is_named(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flashing, "_CHUNK", 64)
 
     def step(_what: Any, _share: Any) -> None:
@@ -137,9 +129,7 @@ def test_a_board_that_disappears_in_mid_copy_is_an_error(
         flash(image, on_progress=step)
 
 
-def test_a_sync_that_fails_after_the_last_byte_is_fine(
-    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sync_may_fail_after_the_last_byte(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def fsync(_descriptor: Any) -> None:
         (drive / "INFO_UF2.TXT").unlink()
         raise OSError(errno.EIO, "input/output error")
@@ -148,9 +138,7 @@ def test_a_sync_that_fails_after_the_last_byte_is_fine(
     assert flash(image).bytes == image.stat().st_size
 
 
-def test_a_stale_mount_is_a_drive_that_is_gone(
-    image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stale_mount_is_a_missing_drive(image: Any, drive: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = flashing.Path.exists
 
     def stale(path: Any, **named: Any) -> Any:

@@ -49,9 +49,7 @@ def test_a_sound_device_passes_and_is_left_as_it_was(device: Any) -> None:
     assert plain(found)["passed"] is True
 
 
-def test_a_check_that_got_no_answer_is_not_held_against_the_next(
-    device: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_check_without_reply_does_not_fail_the_next(device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     silent = False
     write = device.link.write
     monkeypatch.setattr(device.link, "write", lambda frame: None if silent else write(frame))
@@ -104,9 +102,7 @@ def test_a_defect_is_found(
     ],
     ids=["jitter", "rate", "missed"],
 )
-def test_ticks_that_are_not_regular_are_found(
-    device: Any, monkeypatch: pytest.MonkeyPatch, spoil: Any
-) -> None:
+def test_irregular_ticks_are_found(device: Any, monkeypatch: pytest.MonkeyPatch, spoil: Any) -> None:
     honest = device.states
     monkeypatch.setattr(device, "states", lambda seconds: [spoil(state) for state in honest(seconds)])
     assert outcome(device, "ticks").outcome == Outcome.REFUSED
@@ -156,9 +152,7 @@ WHOLE = [batch(2**32 - 2, [(1, 0, 3)] * 2), state(1, count=104), batch(0, [(1, 0
         ([*WHOLE, state(7, fault=int(Fault.LINK_LOST))], 4, Outcome.REFUSED, Fault.LINK_LOST.text),
     ],
 )
-def test_the_samples_of_a_law_on_the_device_are_judged(
-    messages: list[str], ticks: int, outcome: Any, text: Any
-) -> None:
+def test_samples_of_its_own_law_are_judged(messages: list[str], ticks: int, outcome: Any, text: Any) -> None:
     check = judge_stream(messages, ticks, 1_000, DICTIONARY)
     assert check.outcome == outcome
     assert text in check.text
