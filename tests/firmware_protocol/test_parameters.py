@@ -1,4 +1,4 @@
-"""The parameter block has one canonical encoding, and values out of range are rejected in both directions."""
+"""The parameter block has one canonical encoding, values out of range are rejected, and PROTOCOL.md lists both."""
 
 import math
 import struct
@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol import codegen
 from firmware_protocol.faults import Status
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import (
@@ -121,3 +122,14 @@ def test_the_crc_is_that_of_zlib_and_sees_every_value() -> None:
 
 def test_a_device_that_was_never_configured_gives_no_current() -> None:
     assert DEFAULTS["current_limit"] == DEFAULTS["continuous_current"] == DEFAULTS["verified"] == 0
+
+
+def test_the_generated_tables_are_fresh() -> None:
+    assert codegen.main(["--check"]) == 0, "run python -m firmware_protocol.codegen"
+
+
+def test_stale_table_is_detected_and_rewritten() -> None:
+    fresh = codegen.PROTOCOL.read_text(encoding="utf-8")
+    stale = fresh.replace("| `float_stiffness` | f32 |", "| `float_stiffness` | f64 |")
+    assert stale != fresh
+    assert codegen.render(stale) == fresh
