@@ -188,6 +188,16 @@ def test_through_all_states_and_back(pair: Pair) -> None:
     assert pair.host.session == pair.device.session == SESSION + 1
 
 
+def test_a_session_is_given_with_arm_alone_and_differs_from_the_last(pair: Pair) -> None:
+    pair.bring_to(State.RUNNING)
+    pair.ask(m.Disarm(4, 0))
+    for session in (None, 0, SESSION, 256):
+        with pytest.raises(LocalProtocolError, match=r"ARM|1 … 255"):
+            pair.host.send(m.Arm(5, 1, 1), session=session)
+    with pytest.raises(LocalProtocolError, match="only with ARM"):
+        pair.host.send(m.GetTime(3, 1), session=4)
+
+
 def test_commands_of_another_session_are_dropped_and_counted(pair: Pair) -> None:
     pair.bring_to(State.ARMED)
     for session in (0, SESSION - 1, SESSION + 1):

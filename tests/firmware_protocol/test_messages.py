@@ -38,13 +38,15 @@ def test_the_tail_of_a_newer_minor_version_is_ignored(message: m.Message, tail: 
     assert unpack(raw)[1] == message
 
 
-def test_a_frame_that_is_cut_is_the_peers_fault() -> None:
+def test_a_frame_that_is_cut_or_of_an_unknown_type_is_the_peers_fault() -> None:
     for type_id in m.MESSAGES:
         raw = HEADER.pack(m.MAJOR, type_id, 0, 0, 0) + bytes(LAYOUTS[type_id].size)
         assert unpack(raw)
         for length in range(len(raw)):
             with pytest.raises(RemoteProtocolError):
                 unpack(raw[:length])
+    with pytest.raises(RemoteProtocolError, match="0x7E"):
+        unpack(HEADER.pack(m.MAJOR, 0x7E, 0, 0, 0))
 
 
 def test_only_a_batch_may_be_long() -> None:

@@ -126,6 +126,8 @@ def test_a_device_that_was_never_configured_gives_no_current() -> None:
 
 def test_the_generated_tables_are_fresh() -> None:
     assert codegen.main(["--check"]) == 0, "run python -m firmware_protocol.codegen"
+    text = "".join(page.read_text(encoding="utf-8") for page in codegen.PAGES)
+    assert {text.count(f"<!-- generated: {section} -->") for section in codegen.SECTIONS} == {1}
 
 
 def test_stale_table_is_detected_and_rewritten() -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection
+from rig.core.errors import ConfigError
 from sim_backend.ends import usb
 from sim_backend.ends.usb import HIGH_SPEED_PACKET, UsbPort, UsbShape
 from tests.conformance.rigs import rotary_rig
@@ -163,3 +164,5 @@ def test_a_rig_answers_through_the_pipes(pipe: Any) -> None:
     stop.set()
     rig.join(WAIT_S)
     assert not rig.is_alive()
+    with pytest.raises(ConfigError, match="4001 Hz is outside 50 … 4000"):
+        usb.serve(rotary_rig(), ours, rate=4_001)

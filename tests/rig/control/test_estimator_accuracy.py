@@ -56,3 +56,5 @@ def test_the_table_holds_every_case_of_the_grid(name: Any) -> None:
 
 def test_the_guide_shows_the_committed_table() -> None:
     assert accuracy.main(["--check"]) == 0, f"run {accuracy.REGENERATE} --guide"
+    text = accuracy.GUIDE.read_text(encoding="utf-8")
+    assert {text.count(f"<!-- generated: {section} -->") for section in accuracy.SECTIONS} == {1}

@@ -32,6 +32,8 @@ def test_other_parameters_make_another_law_and_leave_this_one_alone() -> None:
         stiffening().with_parameters(quadratc=0.0)
     with pytest.raises(ConfigError, match=r"quadratic = -1 is out of range; .* from 0 to 1e\+06 N·m/rad²"):
         stiffening().with_parameters(quadratic=-1)
+    with pytest.raises(ConfigError, match=r"quadratic = nan"):
+        stiffening().with_parameters(quadratic=math.nan)
 
 
 def test_memory_lasts_and_time_is_in_seconds() -> None:

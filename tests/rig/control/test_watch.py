@@ -6,6 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from rig.control import _watch as watch
 from rig.core.sample import Phase, RowFlag
 from tests.rig.control.test_step import DELTA, Tick
 
@@ -117,6 +118,12 @@ def test_motion_without_violent_oscillation_continues(changes: Any, low: int, hi
     tick = Tick(**OSCILLATES | changes)
     assert oscillate(tick, period, 20, low, high) is None
     assert tick.oscillations < 4
+
+
+def test_an_oscillation_rises_between_the_shares_of_the_limit_that_are_stated() -> None:
+    for reaction, meaning in ((-50.0, -1), (10.0, -1), (10.1, 0), (89.9, 0), (90.0, 1), (100.0, 1)):
+        assert watch.extreme(reaction, 100.0, -1.0, 1.0, 1.9) == meaning
+    assert watch.extreme(100.0, 100.0, -1.0, 1.0, 2.0) == 0
 
 
 def test_a_pause_begins_a_new_row() -> None:

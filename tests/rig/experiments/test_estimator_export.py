@@ -106,6 +106,7 @@ def test_samples_that_were_missed_and_a_counter_that_wraps_are_part_of_the_test(
     times = {"time_s": case.time_s[kept], "edge_time": case.time_s[kept], "elapsed": 3 * case.elapsed[kept]}
     gaps = replace(case, counts=case.counts[kept] + 2**31, judged=case.judged[kept], **times)
     export = write_export(Variant("kalman", {"gain": "steady"}), tmp_path, case=gaps)
+    assert "kalman_kalman" not in export.text, "a name gets the prefix once"
     assert "{-2147483" in export.test_text
     assert try_compile(export).returncode == 0
 
