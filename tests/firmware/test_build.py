@@ -166,7 +166,7 @@ def test_image_contains_its_facts_and_its_sizes_are_those_of_the_program(built: 
 
 
 @pytest.mark.exhaustive("tests/system/test_cli_firmware.py::test_an_image_is_built_and_inspected")
-def test_the_same_inputs_give_the_same_bytes_wherever_board_and_compiler_work(
+def test_the_same_inputs_give_the_same_bytes_anywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The program with the fewest files; the compiler keeps times out of every one.
@@ -354,9 +354,7 @@ def test_the_ends_of_what_the_amplifier_may_be_are_built(pico: str, chosen: Any)
         boards.settings_of(boards.load("rp2040"), {"pwm_frequency": 3000})
 
 
-def test_settings_of_the_rig_are_built_in_and_reported_and_the_command_overrides_them(
-    model: Any, pico: str
-) -> None:
+def test_settings_of_the_rig_are_built_in_and_reported_unless_overridden(model: Any, pico: str) -> None:
     named = replace(model, board=(("enable_pin", 20), ("full_scale", 12.5)))
     built = cross.built(pico, named, enable_pin=21)
     settings = {setting.name: setting.value for setting in read_image(built.elf)[1].dictionary.settings}

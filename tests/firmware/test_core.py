@@ -50,9 +50,7 @@ def seen(state: m.State | None) -> m.State:
 # ---------------------------------------------------------------------- time
 
 
-def test_a_board_drives_after_each_sample_and_feeds_its_watchdog_in_the_tick_alone(
-    library: CDLL,
-) -> None:
+def test_a_board_drives_after_each_sample_and_feeds_its_watchdog_in_the_tick_alone(library: CDLL) -> None:
     board = Board(library).begin()
     fed = board.core.status.feeds
     state = seen(board.tick(70))
@@ -178,9 +176,7 @@ def test_cause_of_the_last_reset_is_reported(library: CDLL) -> None:
         assert board.ask(m.GetStatistics(2)).stopped_at == place
 
 
-def test_a_main_loop_that_stands_for_20_ms_ends_the_run_and_starves_the_watchdog(
-    library: CDLL,
-) -> None:
+def test_a_main_loop_that_stands_for_20_ms_ends_the_run_and_starves_the_watchdog(library: CDLL) -> None:
     board = Board(library).begin()
     board.tick(100)
     fed = board.core.status.feeds

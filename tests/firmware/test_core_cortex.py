@@ -60,9 +60,7 @@ def image(request: pytest.FixtureRequest) -> cortex.Image:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_tick_has_the_currents_of_this_computer_within_its_budget(
-    image: cortex.Image, library: CDLL
-) -> None:
+def test_a_tick_has_this_computer_s_currents_within_its_budget(image: cortex.Image, library: CDLL) -> None:
     for (core, law, scheme), budget in BUDGETS.items():
         if core != image.core.name:
             continue

@@ -196,9 +196,7 @@ def multisine() -> dict[str, Value]:
 
 
 @pytest.mark.parametrize("phases", [0, 1])
-def test_an_excitation_is_played_from_the_device_s_own_table(
-    library: CDLL, law: LawLibrary, phases: int
-) -> None:
+def test_an_excitation_is_played_from_the_device_s_table(library: CDLL, law: LawLibrary, phases: int) -> None:
     p = multisine() | {"excitation_phases": phases}
     board = Board(library)
     board.prepare(**run_values(p))
@@ -340,9 +338,7 @@ def test_limits_act_on_the_law_too(library: CDLL) -> None:
 
 
 @pytest.mark.parametrize("mode", [Mode.STOP, Mode.CURRENT])
-def test_a_command_ends_the_law_and_supervision_restarts_it(
-    library: CDLL, law: LawLibrary, mode: Mode
-) -> None:
+def test_a_command_ends_the_law_supervision_restarts_it(library: CDLL, law: LawLibrary, mode: Mode) -> None:
     p = push(trial_ticks=30)
     board = Board(library).begin(**run_values(p))
     board.run([0] * 20)

@@ -230,7 +230,7 @@ def test_a_law_on_the_host_switches_the_one_on_the_device_off() -> None:
 
 @pytest.mark.parametrize("estimator", ["fdm-butterworth-fixed", "fdm-butterworth"])
 @pytest.mark.parametrize("stiffness", [0.0, 1e-3, 1.0, 1e3])
-def test_an_excitation_beside_any_wall_is_taken_and_made_as_the_host_plays_it(
+def test_an_excitation_beside_a_wall_is_as_the_host_plays_it(
     law: Any, estimator: str, stiffness: float
 ) -> None:
     changes = {

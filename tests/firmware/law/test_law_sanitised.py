@@ -10,13 +10,7 @@ from typing import Any
 import pytest
 
 from tests.firmware.law import law_cases
-from tests.firmware.law.law_library import (
-    SOURCES,
-    TICKS,
-    case_bytes,
-    compile_law,
-    kept_law,
-)
+from tests.firmware.law.law_library import SOURCES, TICKS, case_bytes, compile_law, kept_law
 
 LEAST_BRANCHES = 90.0  # percent of the branches that the cases must take
 

@@ -57,9 +57,7 @@ def steps_off(code: int, quanta: int) -> float:
     return abs(code - MIDDLE - quanta * QUANTUM_A / FULL_SCALE_A * (MIDDLE - 1))
 
 
-def test_converter_gets_nothing_before_arming_and_its_range_before_each_current(
-    powered_dac: Powered,
-) -> None:
+def test_converter_gets_nothing_before_arming_and_its_range_before_each_current(powered_dac: Powered) -> None:
     session = powered_dac()
     assert session.pico.look()["volts"] == 0.0
     assert {(frame.word, frame.accepted) for frame in frames(session)} == {(RANGE, False)}
@@ -76,9 +74,7 @@ def test_converter_gets_nothing_before_arming_and_its_range_before_each_current(
     assert session.pico.look()["current"] == pytest.approx(-0.4, abs=STEP_A)
 
 
-def test_the_pins_carry_every_current_to_the_step_within_a_microsecond(
-    powered_dac: Powered,
-) -> None:
+def test_the_pins_carry_every_current_to_the_step_within_a_microsecond(powered_dac: Powered) -> None:
     session = powered_dac()
     session.configure(position_rate=5_000, slew_limit=32_767, current_limit=PEAK, **WIDE_OPEN)
     session.arm()

@@ -20,9 +20,7 @@ DUTY_STEP_A = emulator.FULL_SCALE_A / 2_500  # 125 MHz / 50 kHz
 QUANTUM_A = 0.001
 
 
-def test_the_pins_show_the_current_with_its_direction_and_the_monitor_what_flows(
-    powered: Powered,
-) -> None:
+def test_the_pins_show_the_current_with_its_direction_and_the_monitor_what_flows(powered: Powered) -> None:
     session = powered()
     session.configure(position_rate=5_000)
     session.arm()

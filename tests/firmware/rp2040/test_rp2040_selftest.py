@@ -34,9 +34,7 @@ def test_the_board_passes_its_own_self_test(powered: Callable[..., Session]) -> 
     assert session.pico.look()["overruns"] == 0
 
 
-def test_a_law_too_slow_for_the_board_is_found_before_anything_moves(
-    powered: Callable[..., Session],
-) -> None:
+def test_a_law_too_slow_for_the_board_is_found_before_anything_moves(powered: Callable[..., Session]) -> None:
     request = selftest.SelfTestRequest(experiment=TOO_FAST, seconds=0.01, stream=True)
     check = selftest._stream(device_of(powered(position=0.0)), request)
     assert check.outcome == "refused"

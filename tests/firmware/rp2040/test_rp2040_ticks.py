@@ -53,11 +53,7 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
 # within a period of 50 kHz, too.
 @pytest.mark.parametrize(
     ("image", "position_rate", "velocity_rate", "share"),
-    [
-        ("usual", 20_000, 2_000, 0.305),
-        ("usual", 50_000, 50_000, 0.77),
-        ("full", 20_000, 20_000, 0.35),
-    ],
+    [("usual", 20_000, 2_000, 0.305), ("usual", 50_000, 50_000, 0.77), ("full", 20_000, 20_000, 0.35)],
 )
 def test_the_worst_tick_of_a_hit_with_the_law_on_the_device_is_in_time_and_every_count_is_the_truth(
     powered: Powered, image: str, position_rate: int, velocity_rate: int, share: float

@@ -300,9 +300,7 @@ def test_bytes_arrive_whole_in_order_and_with_their_toggles(stack: Path, data: s
         assert taken == given_bytes
 
 
-def test_whole_packets_end_with_an_empty_one_and_two_wait_in_the_controller(
-    host: Host,
-) -> None:
+def test_whole_packets_end_with_an_empty_one_and_two_wait_in_the_controller(host: Host) -> None:
     for count in (60, 64, 128, 63, 61):
         frame = bytes([1] * (count - 1)) + b"\0"
         assert host.firmware_writes(frame)

@@ -117,9 +117,7 @@ def test_a_transfer_that_is_withdrawn_at_any_time_ends_once(pico: emulator.Pico)
     assert line.control(0x80, 6, 0x100, 0, 18)[0] == 0
 
 
-def test_each_pipe_replies_behind_an_unknown_request_and_a_pulled_cable(
-    pico: emulator.Pico,
-) -> None:
+def test_each_pipe_replies_behind_an_unknown_request_and_a_pulled_cable(pico: emulator.Pico) -> None:
     for pipe in (PORT, RIG):
         line = UsbLine(pico, pipe)
         assert line.control(0x80, 6, 0x600, 0, 10)[0] == STALL

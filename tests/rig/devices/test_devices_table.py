@@ -223,9 +223,7 @@ def served_options(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.parametrize(("wanted", "asked"), [("off", "off"), ("try", "try"), ("enforce", "try")])
-def test_a_process_asks_for_the_scheduling_of_the_experiment(
-    served_options: Any, wanted: str, asked: str
-) -> None:
+def test_a_process_asks_for_the_experiment_s_scheduling(served_options: Any, wanted: str, asked: str) -> None:
     with local.open_for_run("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
         assert device.dictionary.device == "koul-compliant"
     assert served_options == [{"url": "sim://", "seed": 3, "realtime": asked}]
@@ -242,9 +240,7 @@ def test_no_process_serves_virtual_time_or_a_real_device(served_options: Any) ->
     assert served_options == []
 
 
-def test_a_map_asks_for_no_scheduling_when_the_experiment_says_off(
-    served_options: Any, tmp_path: Path
-) -> None:
+def test_a_map_asks_for_no_scheduling_if_the_experiment_says_off(served_options: Any, tmp_path: Path) -> None:
     experiment = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
     with examined(OnDevice(url="sim://", recordings=tmp_path, realtime=True), experiment):
         pass

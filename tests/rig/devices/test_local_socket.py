@@ -88,9 +88,7 @@ def test_a_socket_without_a_listener_does_not_open(tmp_path: Path) -> None:
             opened(tmp_path / "missing", query)
 
 
-def test_a_loop_shares_its_device_s_processor_unless_the_user_names_one(
-    tmp_path: Path, listener: Any
-) -> None:
+def test_a_loop_shares_its_device_s_processor_by_default(tmp_path: Path, listener: Any) -> None:
     link = opened(tmp_path / "silent", "?cpu=3")
     assert host_beside(Scheduling(), link).cpu == 3
     assert host_beside(Scheduling(cpu=1), link).cpu == 1

@@ -72,9 +72,7 @@ def test_an_ftdi_adapter_with_its_timer_as_it_comes(tree: Tree) -> None:
 
 
 @pytest.mark.parametrize(("latency", "known_ms"), [(1, 1), ("soon", None)])
-def test_an_ftdi_adapter_of_one_millisecond_or_no_timer_is_fine(
-    latency: Any, known_ms: Any, tree: Tree
-) -> None:
+def test_an_ftdi_adapter_of_one_ms_or_without_timer_is_fine(latency: Any, known_ms: Any, tree: Tree) -> None:
     facts = tree.facts(tree.plug("ttyUSB1", "ftdi_sio", latency, **FTDI))
     assert facts.ftdi
     assert facts.latency_timer_ms == known_ms

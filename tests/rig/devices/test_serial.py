@@ -87,9 +87,7 @@ def test_a_busy_port_is_refused_and_opens_when_it_is_free_again(line: Any) -> No
         (OSError(errno.ENXIO, "no such device"), "is not a serial port"),
     ],
 )
-def test_each_error_of_the_system_becomes_one_typed_error(
-    error: Any, message: str, line: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_error_of_the_system_is_typed(error: Any, message: str, line: Any, monkeypatch: Any) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise error
 
