@@ -615,6 +615,7 @@ def test_a_transaction_is_given_up_after_more_than_a_command_lives() -> None:
 def test_the_host_can_stop_a_device_in_an_unknown_state() -> None:
     simulated, wire, device = armed()
     device.take_back(next_command=3, newest_state=77, state=200, nonce=9)
+    assert (device.connection.sequence_to_send(m.Command), device.connection.state) == (3, State.RUNNING)
     before = len(wire.sent)
     device.stop()
     assert len(wire.sent) == before + STOP_FRAMES
