@@ -10,7 +10,7 @@ from firmware_protocol.faults import Status
 from firmware_protocol.messages import Message, Role
 from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import encode_block
-from rig.devices.device import Link
+from rig.devices.device import DeviceUrl, Link
 
 ANSWER_S = 2.0  # far beyond any honest answer
 _dictionaries: dict[int, dictionary.Dictionary] = {}  # by their hashes
@@ -24,6 +24,26 @@ RUN_PARAMETERS: dict[str, Value] = {
     "window_minimum": -1_000_000,
     "window_maximum": 1_000_000,
 }
+
+
+class StubLink:
+    """The parts of a link in virtual time that a test does not use."""
+
+    url = DeviceUrl("test", "", {}, "test://")
+    bytes_per_second: float | None = None
+    messages: tuple[str, ...] = ()
+
+    def failure(self) -> None:
+        return None
+
+    def truth(self) -> None:
+        return None
+
+    def port(self) -> Any:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        pass
 
 
 class Host:

@@ -4,10 +4,9 @@ import ctypes
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from rig.devices.device import DeviceUrl
 from rig.realtime.clock import VirtualClock
+from tests.conformance.host import StubLink
 from tests.firmware.build import FIRMWARE, UNDEFINED, kept_c
 
 HERE = Path(__file__).parent
@@ -52,11 +51,7 @@ def powered_up(library: ctypes.CDLL, spoilt: str = "") -> Run:
     return run
 
 
-class SimulatedPort:
-    url = DeviceUrl("test", "", {}, "test://")
-    bytes_per_second = None
-    messages: tuple[str, ...] = ()
-
+class SimulatedPort(StubLink):
     def __init__(self, run: Run, slice_us: int = SLICE_US) -> None:
         self.clock = VirtualClock()
         self._run, self._slice_us = run, slice_us
@@ -76,15 +71,3 @@ class SimulatedPort:
             if came:
                 return came
         return b""
-
-    def failure(self) -> None:
-        return None
-
-    def truth(self) -> None:
-        return None
-
-    def port(self) -> Any:
-        raise NotImplementedError
-
-    def close(self) -> None:
-        pass

@@ -8,13 +8,7 @@ import pytest
 
 from firmware_protocol.faults import Status
 from firmware_protocol.parameters import BY_NAME
-from rig.core.errors import (
-    ConfigError,
-    DeviceNotFoundError,
-    DeviceRefusedError,
-    IncompatibleDeviceError,
-    RigError,
-)
+from rig.core import errors
 from rig.core.model import Encoder, Reference, RigModel
 from rig.extras.drives.bus import CanFrame
 from rig.extras.drives.moteus import MoteusConversation, find, fit, switches_of
@@ -40,7 +34,9 @@ def other(**parts: Any) -> RigModel:
 
 
 def refusal(
-    drive: SimulatedMoteus, model: RigModel | None = None, kind: type[RigError] = DeviceRefusedError
+    drive: SimulatedMoteus,
+    model: RigModel | None = None,
+    kind: type[errors.RigError] = errors.DeviceRefusedError,
 ) -> str:
     with pytest.raises(kind) as caught:
         find_moteus(drive, model or bridged_rig())
@@ -98,24 +94,24 @@ def test_an_experiment_that_is_about_another_rig(model: RigModel, says: str) -> 
 def test_another_generation_of_firmware() -> None:
     drive = moteus()
     drive._integer_registers[0x102] = 4
-    assert "register map 4" in refusal(drive, kind=IncompatibleDeviceError)
+    assert "register map 4" in refusal(drive, kind=errors.IncompatibleDeviceError)
 
 
 def test_a_firmware_without_a_setting() -> None:
     drive = moteus()
     del drive.settings.values["servo.inertia_feedforward"]
-    assert "no setting servo.inertia_feedforward" in refusal(drive, kind=IncompatibleDeviceError)
+    assert "no setting servo.inertia_feedforward" in refusal(drive, kind=errors.IncompatibleDeviceError)
 
 
 def test_another_id_on_the_bus() -> None:
-    with pytest.raises(DeviceNotFoundError, match="no reply from the moteus 7 at memory"):
+    with pytest.raises(errors.DeviceNotFoundError, match="no reply from the moteus 7 at memory"):
         find_moteus(moteus(), bridged_rig(), number=7)
 
 
 def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
     bus = MemoryBus(moteus())
     bus.waiting.append(CanFrame(0x8001, b"\x11\x00"))
-    with pytest.raises(DeviceRefusedError, match="second bus master"):
+    with pytest.raises(errors.DeviceRefusedError, match="second bus master"):
         find(MoteusConversation(bus, 1), 1)
     assert bus.sent == 0
 
@@ -150,7 +146,7 @@ def test_a_drive_after_a_killed_bridge_is_accepted() -> None:
     "texts", [{"hold": "aux3.1"}, {"stop": "pin 2"}, {"hold": "aux1.1", "stop": "aux2.1"}]
 )
 def test_a_switch_is_a_pin_of_one_port(texts: dict[str, str]) -> None:
-    with pytest.raises(ConfigError):
+    with pytest.raises(errors.ConfigError):
         switches_of(texts)
 
 

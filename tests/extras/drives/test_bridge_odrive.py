@@ -11,13 +11,7 @@ from firmware_protocol.faults import Status
 from firmware_protocol.parameters import BY_NAME
 from rig import config
 from rig.config import controller
-from rig.core.errors import (
-    ConfigError,
-    DeviceNotFoundError,
-    DeviceRefusedError,
-    IncompatibleDeviceError,
-    RigError,
-)
+from rig.core import errors
 from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
 from rig.extras.drives import describe, odrive
@@ -50,7 +44,9 @@ def drive_with(settings: dict[str, str] | None = None, **options: Any) -> Simula
 
 
 def refusal(
-    drive: SimulatedOdrive, model: RigModel | None = None, kind: type[RigError] = DeviceRefusedError
+    drive: SimulatedOdrive,
+    model: RigModel | None = None,
+    kind: type[errors.RigError] = errors.DeviceRefusedError,
 ) -> str:
     """Return the message of a rejection; the drive stays at rest."""
     with pytest.raises(kind) as caught:
@@ -100,7 +96,7 @@ def test_a_drive_that_is_set_up_otherwise(path: str, value: str, says: str) -> N
 
 def test_all_that_is_wrong_is_named_at_once_with_what_to_type() -> None:
     drive = SimulatedOdrive(bridged_rig(), OdriveOptions())  # as the maker delivers it
-    with pytest.raises(DeviceRefusedError) as caught:
+    with pytest.raises(errors.DeviceRefusedError) as caught:
         find_odrive(drive, bridged_rig())
     for path in (odrive.WATCHDOG, odrive.VELOCITY_LIMITED, odrive.TORQUES_MS, odrive.HEARTBEAT_MS):
         assert path in str(caught.value)
@@ -108,17 +104,17 @@ def test_all_that_is_wrong_is_named_at_once_with_what_to_type() -> None:
 
 
 def test_another_version_of_firmware_or_of_the_file() -> None:
-    assert "firmware 0.5.6" in refusal(drive_with(firmware=(0, 5, 6)), kind=IncompatibleDeviceError)
-    text = refusal(drive_with(firmware=(0, 6, 9)), kind=IncompatibleDeviceError)
+    assert "firmware 0.5.6" in refusal(drive_with(firmware=(0, 5, 6)), kind=errors.IncompatibleDeviceError)
+    text = refusal(drive_with(firmware=(0, 6, 9)), kind=errors.IncompatibleDeviceError)
     assert "firmware 0.6.9, but flat_endpoints.json is for 0.6.11" in text
     numbers = replace(endpoints(), by_path={})
-    with pytest.raises(IncompatibleDeviceError, match=r"has no parameter axis0\.config"):
+    with pytest.raises(errors.IncompatibleDeviceError, match=r"has no parameter axis0\.config"):
         find_odrive(drive_with(), bridged_rig(), numbers=numbers)
 
 
 def test_another_node_on_the_bus() -> None:
     with pytest.raises(
-        DeviceNotFoundError, match="no reply from the ODrive 7 at memory; nodes seen on this bus: 0"
+        errors.DeviceNotFoundError, match="no reply from the ODrive 7 at memory; nodes seen on this bus: 0"
     ):
         find_odrive(drive_with(), bridged_rig(), node=7)
 
@@ -126,7 +122,7 @@ def test_another_node_on_the_bus() -> None:
 def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
     bus = MemoryBus(drive_with())
     bus.waiting.append(CanFrame(CanSimpleCommand.SET_INPUT_TORQUE, bytes(4)))
-    with pytest.raises(DeviceRefusedError, match="second bus master"):
+    with pytest.raises(errors.DeviceRefusedError, match="second bus master"):
         odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
     assert bus.sent == 0
 
@@ -149,21 +145,21 @@ def test_a_drive_after_a_killed_bridge_is_accepted() -> None:
 
 def test_an_answer_that_takes_longer_than_half_a_period_is_a_slow_bus() -> None:
     found = odrive.find(odrive.OdriveConversation(MemoryBus(drive_with()), 0, endpoints()))
-    with pytest.raises(DeviceRefusedError, match=r"at most 0\.5 ms") as caught:
+    with pytest.raises(errors.DeviceRefusedError, match=r"at most 0\.5 ms") as caught:
         odrive.fit(replace(found, quickest_s=0.9e-3), bridged_rig())
     assert "baud_rate = 1000000" in str(caught.value.remedy)
 
 
 def test_a_url_names_the_makers_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="the URL has no endpoints file") as caught:
+    with pytest.raises(errors.ConfigError, match="the URL has no endpoints file") as caught:
         address_of(DeviceUrl.parse("odrive://can0"))
     assert "docs.odriverobotics.com" in str(caught.value.remedy)
     (tmp_path / "list.json").write_text("[]")
     for invalid in (tmp_path, tmp_path / "list.json"):
-        with pytest.raises(ConfigError, match=r"is not an ODrive's flat_endpoints\.json"):
+        with pytest.raises(errors.ConfigError, match=r"is not an ODrive's flat_endpoints\.json"):
             address_of(DeviceUrl.parse(f"odrive://can0?endpoints={invalid}"))
     place = write_endpoints(tmp_path / "flat_endpoints.json")
-    with pytest.raises(ConfigError, match="id = '63'"):
+    with pytest.raises(errors.ConfigError, match="id = '63'"):
         address_of(DeviceUrl.parse(f"odrive://can0?id=63&endpoints={place}"))
     address_of(DeviceUrl.parse(f"odrive://can0?id=62&endpoints={place}"))
 

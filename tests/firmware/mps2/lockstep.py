@@ -12,18 +12,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from firmware_protocol.connection import State
 from rig.core.model import RigModel
-from rig.devices.device import DeviceUrl
 from rig.firmware import _boards as boards
 from rig.firmware._board_config import configure
 from rig.firmware._build import BuildResult, package_version, sources_hash
 from rig.realtime.clock import VirtualClock
 from sim_backend.board.hardware import Hardware
+from tests.conformance.host import StubLink
 from tests.conformance.started import LEASH, started
 from tests.firmware import cross
 from tests.firmware.build import FIRMWARE, SOURCES, UNDEFINED, compile_c, kept, library
@@ -145,12 +144,8 @@ def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
     return Partner([str(made / "program")], directory)
 
 
-class Rig:
+class Rig(StubLink):
     """A simulated rig on a `Partner`; also the link by which a host reaches the device."""
-
-    url = DeviceUrl("test", "", {}, "test://")
-    bytes_per_second = None
-    messages: tuple[str, ...] = ()
 
     def __init__(self, exchange: Exchange, model: RigModel) -> None:
         self._exchange = exchange
@@ -220,15 +215,3 @@ class Rig:
             self.tick()
         sent, self._to_host = b"".join(self._to_host), []
         return sent
-
-    def close(self) -> None:
-        pass
-
-    def failure(self) -> None:
-        return None
-
-    def truth(self) -> None:
-        return None
-
-    def port(self) -> Any:
-        raise NotImplementedError

@@ -11,7 +11,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
@@ -27,9 +27,11 @@ from rig.config._derive import rig_model
 from rig.config._load import override
 from rig.config.presets import load
 from rig.core.model import RigModel
+from rig.devices.device import DeviceUrl
 from rig.firmware._build import DEVICE, BuildResult
 from rig.realtime.clock import VirtualClock
 from sim_backend.mechanics.plant import DiscretePlant
+from tests.conformance.host import StubLink
 from tests.firmware import cross
 
 HERE = Path(__file__).parent
@@ -262,10 +264,9 @@ def plant_states(model: RigModel, position: float, efforts: list[float]) -> list
     return states
 
 
-class PicoLink:
-    url = "emulated"
+class PicoLink(StubLink):
+    url = DeviceUrl("emulated", "pico", {}, "emulated://pico")
     bytes_per_second = 300_000.0
-    messages: Sequence[str] = ()
 
     def __init__(self, pico: Pico) -> None:
         self.pico = pico

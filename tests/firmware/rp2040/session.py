@@ -31,7 +31,7 @@ class Session:
 
     def connect(self) -> None:
         """Start a new host that has none of the earlier frames."""
-        self.host = Host(self.link)  # type: ignore[arg-type]
+        self.host = Host(self.link)
         self.host.hash = self.host.ask(m.Identify(self.host.nonce(), 0)).dictionary_hash
 
     def configure(self, **values: Value) -> m.Ack:

@@ -82,7 +82,7 @@ class OnTheBoard(FarEnd):
     late = 2  # slices of the emulator
 
     def __init__(self, session: Session) -> None:
-        super().__init__(session.link)  # type: ignore[arg-type]
+        super().__init__(session.link)
         self.pico = session.pico
         pressed, illegal = "the emergency stop is pressed", "an illegal transition of the encoder"
         # The contact of the stop opens: the pull-up shows that in the same way as a broken wire.

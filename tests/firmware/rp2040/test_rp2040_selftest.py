@@ -6,7 +6,6 @@ from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
 from rig.core.check import Outcome
-from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.firmware import _selftest as selftest
 from rig.firmware._build import PORT_CHECK
@@ -21,8 +20,7 @@ TOO_FAST = config.override(FLOAT32, {"controller.position_rate": 50_000, "contro
 
 
 def device_of(session: Session) -> FramedDevice:
-    session.link.url = DeviceUrl.parse("emulated://pico")  # type: ignore[assignment]
-    return FramedDevice(session.link)  # type: ignore[arg-type]
+    return FramedDevice(session.link)
 
 
 def test_the_board_passes_its_own_self_test(powered: Callable[..., Session]) -> None:
@@ -49,23 +47,13 @@ REQUEST = PortCheckRequest(current=400, wired=True, seconds=0.05, bootloader=Tru
 UNSEEN = {"time width"}
 
 
-class Link(emulator.PicoLink):
-    url = DeviceUrl("emulated", "pico", {}, "emulated://pico")  # type: ignore[assignment]
-
-    def failure(self) -> None:
-        return None
-
-    def close(self) -> None:
-        pass
-
-
 def test_the_pico_keeps_every_duty_that_can_be_seen() -> None:
     model = emulator.built("usual")[0]
     built = emulator.image(model, PORT_CHECK)
     with emulator.Pico(model, built.bin) as pico:
         pico.ask("loop")
-        link = Link(pico)
-        found = check_port(lambda: link, REQUEST)  # type: ignore[arg-type, return-value]
+        link = emulator.PicoLink(pico)
+        found = check_port(lambda: link, REQUEST)
         look = pico.look()
     not_ok = {one.name: one.text for one in found.checks if one.outcome is not Outcome.OK}
     assert set(not_ok) == UNSEEN, not_ok

@@ -5,15 +5,7 @@ from typing import Any
 
 import pytest
 
-from rig.core.errors import (
-    BlockedError,
-    BrokenLineError,
-    CutShortError,
-    LinkLostError,
-    OverflowedError,
-    StalledError,
-    UnpluggedError,
-)
+from rig.core import errors
 from rig.devices._failures import FAILURES, error_number, failure, link_error
 
 USB, SERIAL = "usb://1209:0001", "serial:///dev/ttyACM0"
@@ -22,16 +14,20 @@ USB, SERIAL = "usb://1209:0001", "serial:///dev/ttyACM0"
 @pytest.mark.parametrize(
     ("number", "on_usb", "on_serial"),
     [
-        (errno.ENODEV, UnpluggedError, UnpluggedError),
-        (errno.ESHUTDOWN, UnpluggedError, UnpluggedError),
-        (errno.EPIPE, StalledError, UnpluggedError),
-        (errno.EIO, BrokenLineError, UnpluggedError),  # a terminal knows no other word for unplugged
-        (errno.EPROTO, BrokenLineError, BrokenLineError),
-        (errno.ETIMEDOUT, BlockedError, BlockedError),
-        (errno.EOVERFLOW, OverflowedError, OverflowedError),
-        (errno.EREMOTEIO, CutShortError, CutShortError),
-        (errno.EBADF, LinkLostError, LinkLostError),
-        (0, LinkLostError, LinkLostError),
+        (errno.ENODEV, errors.UnpluggedError, errors.UnpluggedError),
+        (errno.ESHUTDOWN, errors.UnpluggedError, errors.UnpluggedError),
+        (errno.EPIPE, errors.StalledError, errors.UnpluggedError),
+        (
+            errno.EIO,
+            errors.BrokenLineError,
+            errors.UnpluggedError,
+        ),  # a terminal knows no other word for unplugged
+        (errno.EPROTO, errors.BrokenLineError, errors.BrokenLineError),
+        (errno.ETIMEDOUT, errors.BlockedError, errors.BlockedError),
+        (errno.EOVERFLOW, errors.OverflowedError, errors.OverflowedError),
+        (errno.EREMOTEIO, errors.CutShortError, errors.CutShortError),
+        (errno.EBADF, errors.LinkLostError, errors.LinkLostError),
+        (0, errors.LinkLostError, errors.LinkLostError),
     ],
 )
 def test_each_number_has_its_error(number: Any, on_usb: Any, on_serial: Any) -> None:
@@ -42,8 +38,8 @@ def test_each_number_has_its_error(number: Any, on_usb: Any, on_serial: Any) -> 
 def test_every_error_has_its_device_and_a_remedy() -> None:
     for number in (*FAILURES, errno.EBADF, 0):
         error = link_error(number, USB)
-        assert isinstance(error, LinkLostError)
-        assert error.exit_code == LinkLostError.exit_code
+        assert isinstance(error, errors.LinkLostError)
+        assert error.exit_code == errors.LinkLostError.exit_code
         assert error.message.startswith(USB)
         assert error.remedy
 
