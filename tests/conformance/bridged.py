@@ -32,7 +32,7 @@ from sim_backend.drives.multiplex import NOP
 from sim_backend.drives.odrive import SimulatedOdrive
 from sim_backend.drives.socket_can import CLASSIC_BYTES, FD_BYTES, SocketCan, from_wire, to_wire
 from tests.conformance import drives
-from tests.conformance.host import Host
+from tests.conformance.host import Host, StubLink
 from tests.conformance.rigs import rotary_rig
 
 UNIT_TWICE_NS = 125  # two units of device time
@@ -169,15 +169,12 @@ class Odrive(drives.Odrive):
 KINDS: dict[str, type[Moteus | Odrive]] = {"moteus": Moteus, "odrive": Odrive}
 
 
-class Bridged:
+class Bridged(StubLink):
     """A bridge, its drive and a line between them.
 
     `settings` are those of the drive where it is not as a bridge wants it, `drift` the share by which its clock is
     fast.
     """
-
-    bytes_per_second: float | None = None
-    messages: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -250,12 +247,6 @@ class Bridged:
 
     def failure(self) -> BaseException | None:
         return self._failure
-
-    def truth(self) -> None:
-        return None
-
-    def close(self) -> None:
-        pass
 
     # ------------------------------------------------------------------ time
 

@@ -1,10 +1,9 @@
 """The self test on this computer's build of the firmware: its law runs, no sample is missing, nothing moves."""
 
-from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from rig import config
 from rig.config import presets
@@ -15,14 +14,13 @@ from tests.firmware.mps2.lockstep import Rig, on_this_computer
 EXPERIMENT = presets.load("koul-rigid")
 
 
-@pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
-    partner = on_this_computer(config.rig_model(EXPERIMENT), "mps2-an386", tmp_path)
-    yield Rig(partner, config.rig_model(EXPERIMENT))
-    partner.close()
+def test_the_firmware_passes_its_own_self_test_and_nothing_moves(tmp_path: Path) -> None:
+    model = config.rig_model(EXPERIMENT)
+    with closing(on_this_computer(model, "mps2-an386", tmp_path)) as partner:
+        check_self_test(Rig(partner, model))
 
 
-def test_the_firmware_passes_its_own_self_test_and_nothing_moves(rig: Rig) -> None:
+def check_self_test(rig: Rig) -> None:
     device = FramedDevice(rig)
     before = device.active_parameters()
     request = SelfTestRequest(experiment=EXPERIMENT, rate=20_000, seconds=0.25, stream=True)

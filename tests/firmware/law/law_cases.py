@@ -8,16 +8,7 @@ import numpy as np
 
 from rig.control.excitation_table import ExcitationTable
 from tests.conformance.fixed_law import GoldenVectors, golden_vectors
-from tests.firmware.law.law_design import (
-    ELSEWHERE,
-    ESTIMATORS,
-    FIXED,
-    FLOAT,
-    OWN,
-    copy_filter,
-    copy_wall,
-    parameters_of,
-)
+from tests.firmware.law import law_design as design
 from tests.firmware.law.law_library import Parameters, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, controller_of, experiment_of
 
@@ -27,16 +18,16 @@ GAPS = (1, 1, 1, 2, 7, 1500, 2**32 - 1, 0)
 
 def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
     """Return parameters without homing and limits, with the filter and the wall of golden vectors."""
-    p = Parameters(arithmetic=FIXED, velocity_divider=vectors.velocity_divider, slow_multiple=1)
+    p = Parameters(arithmetic=design.FIXED, velocity_divider=vectors.velocity_divider, slow_multiple=1)
     p.window_minimum, p.window_maximum = -(2**31), 2**31 - 1
     p.home_minimum, p.home_maximum = p.window_minimum, p.window_maximum
     p.home_step, p.trial_ticks, p.release_ticks = 2**40, 2**32 - 1, 1
     p.home_timeout_ticks = 2**32 - 1
-    copy_wall(p, vectors.wall)
+    design.copy_wall(p, vectors.wall)
     w, f = p.fixed_wall, vectors.filter
     w.trial_slew = w.homing_slew = 2**31 - 1
     w.speed_limit, w.home_shift = 2**31 - 1, 1
-    copy_filter(p, f)
+    design.copy_filter(p, f)
     return p
 
 
@@ -92,8 +83,8 @@ def broken(field: str, value: int) -> ct.Structure:
 
 def of_estimator(name: str, **settings: float | str) -> ct.Structure:
     """Return the float law with an estimator, in a trial of a few ticks without limits."""
-    settings |= OWN.get(name, {})
-    p = parameters_of(controller_of(experiment_of(name, settings, DUAL, SHORT)))
+    settings |= design.OWN.get(name, {})
+    p = design.parameters_of(controller_of(experiment_of(name, settings, DUAL, SHORT)))
     p.settle_ticks, p.trial_ticks, p.release_ticks, p.home_step = 2, 20, 7, 2**34
     p.window_minimum, p.window_maximum = p.home_minimum, p.home_maximum = -(2**31), 2**31 - 1
     p.wall.speed_limit, p.slow_multiple, p.wall.slow_speed = 3e38, 3, 1.0
@@ -118,7 +109,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
         yield p, inputs(vectors.counts)
         p.bilateral, p.slow_multiple, p.fixed_wall.slow_speed = seed % 2, 1 + seed % 3, 1 << 20
         good.append(p)
-    for name in ESTIMATORS:
+    for name in design.ESTIMATORS:
         for divider, stop, scheme in ((1, 0, 0), (10, 1, 1), (1, 1, 2)):
             p = of_estimator(name)
             p.velocity_divider, p.bilateral, p.extrapolate = divider, int(scheme == 1), stop
@@ -133,7 +124,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
         passive.wall.passive_damping, passive.wall.constant = 1e3, 1e9
         good.append(passive)
     elsewhere = of_estimator("kalman")
-    elsewhere.arithmetic = ELSEWHERE
+    elsewhere.arithmetic = design.ELSEWHERE
     good.append(elsewhere)
     good.append(of_estimator("fdm-butterworth", order=3))
     low_pass = partial(of_estimator, "fdm-butterworth-fixed")  # the other short cuts of the low pass
@@ -142,7 +133,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
         low_pass(cutoff_hz=20.0, coefficient_bits=20),
         low_pass(rounding="floor"),
     ]
-    for arithmetic, phases in ((FIXED, "schroeder"), (FLOAT, "hashed")):
+    for arithmetic, phases in ((design.FIXED, "schroeder"), (design.FLOAT, "hashed")):
         table = ExcitationTable(2, 1, 498, 1000, 2**30, ramp=9, phases=phases, bits=arithmetic)
         p = excited(arithmetic, table)
         p.release_ticks, p.trial_ticks = 50, 100
@@ -160,7 +151,7 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
         ("first", 500), ("first", 0), ("step", 0), ("period", 2**16 + 1), ("period", 0), ("amplitude", 2**31),
         ("bits", 16), ("phases", 2), ("ramp", 2**24 + 1), ("lines", 2**31),
     ):  # fmt: skip
-        p = excited(FIXED, ExcitationTable(400, 1, 1, 1000, 2**16))
+        p = excited(design.FIXED, ExcitationTable(400, 1, 1, 1000, 2**16))
         setattr(p.excitation, field, value)
         yield p, wild(3)
     third_order = of_estimator("fdm-butterworth")

@@ -11,22 +11,14 @@ from rig.control import estimators, laws
 from rig.control.step import CONTROL, ControllerState, new_memory, step
 from rig.core.sample import Phase, RowFlag
 from tests.conformance.tiers import first_by_default
+from tests.firmware.law import law_rigs as rigs
 from tests.firmware.law.law_design import ESTIMATORS, parameters_of
 from tests.firmware.law.law_library import inputs
-from tests.firmware.law.law_rigs import (
-    DUAL,
-    FLAGS_OF_THE_HOST,
-    SHORT,
-    UNIFORM,
-    controller_of,
-    counts_of_a_hit,
-    experiment_of,
-)
 
 SETTINGS = {"foaw-best": {"window_limit": 24.0}, "kalman": {"gain": "steady"}}
 PASSIVE = {"wall.passive_damping": 2.0, "wall.damping": 0.0}
-ESTIMATED = {**UNIFORM, "wall.position_from": "estimator"}
-SCHEMES = {"dual": DUAL, "uniform": UNIFORM, "passive": {**DUAL, **PASSIVE}}
+ESTIMATED = {**rigs.UNIFORM, "wall.position_from": "estimator"}
+SCHEMES = {"dual": rigs.DUAL, "uniform": rigs.UNIFORM, "passive": {**rigs.DUAL, **PASSIVE}}
 SCHEMES |= {"estimated": {**ESTIMATED, **PASSIVE}, "position": {**ESTIMATED, "wall.stiffness": 400.0}}
 SUITS = {"estimated": ("kalman", "disturbance"), "passive": ("fdm-butterworth", "disturbance")}
 SUITS["position"] = (
@@ -46,13 +38,13 @@ ERROR = 12 * EPS  # of an effort, against the limit; three times what was measur
 )
 def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     """With a tenth of the counts missing, phases and flags are equal, and efforts up to rounding."""
-    experiment = experiment_of(name, SETTINGS.get(name, {}), SCHEMES[scheme], SHORT)
-    counts = counts_of_a_hit(experiment)
+    experiment = rigs.experiment_of(name, SETTINGS.get(name, {}), SCHEMES[scheme], rigs.SHORT)
+    counts = rigs.counts_of_a_hit(experiment)
     random = np.random.default_rng(5)
     taken = np.flatnonzero((random.random(len(counts)) < 0.9) | (np.arange(len(counts)) == 0))
     table = inputs(counts[taken], np.diff(taken, prepend=-1))
 
-    host = controller_of(experiment)
+    host = rigs.controller_of(experiment)
     arguments = host.arguments()
     names = ("flags", "phase", "limited_effort", "current_sent")
     rows = []
@@ -63,7 +55,7 @@ def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     flags, phases, limited, currents = np.array(rows).T
     limited /= host.control["effort_quantum"][0]
 
-    p = parameters_of(controller_of(experiment))
+    p = parameters_of(rigs.controller_of(experiment))
     ticks = law.run(p, table)
     assert {Phase.TRIAL, Phase.RELEASE, Phase.DONE} <= set(phases.astype(int).tolist())
     assert np.abs(limited).max() > 0.7 * p.current_limit
@@ -155,7 +147,7 @@ def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
             assert abs(tick["current"] - quanta) <= 1
             seen |= {(Phase(m["phase"]), flag) for flag in RowFlag(int(m["flags"]))}
     assert {phase for phase, _ in seen} == set(Phase) - {Phase.WAIT}
-    assert {flag for _, flag in seen} == set(~FLAGS_OF_THE_HOST)
+    assert {flag for _, flag in seen} == set(~rigs.FLAGS_OF_THE_HOST)
     assert {(Phase.HOMING, RowFlag.SLEW_BOUND), (Phase.TRIAL, RowFlag.SLEW_BOUND)} <= seen
 
 
@@ -163,7 +155,7 @@ def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
 @settings(max_examples=12)
 def test_comparisons_with_counts_are_those_of_the_host(data: st.DataObject) -> None:
     """Window and homing tolerance agree on the very edge: whole counts on the device, float64 on the host."""
-    host = controller_of(experiment_of("fdm", {}, DUAL, SHORT))
+    host = rigs.controller_of(rigs.experiment_of("fdm", {}, rigs.DUAL, rigs.SHORT))
     c, draw = host.control[0], data.draw
     delta = abs(c["resolution"])
 
