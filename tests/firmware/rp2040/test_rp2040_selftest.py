@@ -25,7 +25,7 @@ def device_of(session: Session) -> FramedDevice:
 
 def test_the_board_passes_its_own_self_test(powered: Callable[..., Session]) -> None:
     session = powered(position=0.0)
-    request = selftest.SelfTestRequest(experiment=INTEGERS, rate=20_000, seconds=0.04, stream=True)
+    request = selftest.SelfTestRequest(experiment=INTEGERS, rate=20_000, seconds=0.03, stream=True)
     found = {check.name: check for check in selftest.selftest(device_of(session), request).checks}
     assert [check for check in found.values() if check.outcome == "refused"] == []
     assert found["stream"].outcome == "ok"

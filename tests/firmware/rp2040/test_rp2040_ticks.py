@@ -23,7 +23,7 @@ def test_the_tick_keeps_any_rate_exactly_and_each_to_some_cycles(powered: Powere
     session = powered()
     # A PL011 requires both ends within 2 %; a USB adapter has an exact rate.
     assert session.pico.look()["baud"] == pytest.approx(BAUD, rel=0.003)
-    for rate in (100, 1_000, 7_000, 20_000, 27_000, 50_000):
+    for rate in (100, 7_000, 27_000, 50_000):
         session.configure(position_rate=rate)
         session.listen(1.0 / rate)
         session.ticks()
