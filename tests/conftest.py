@@ -153,11 +153,16 @@ class Memory:
         return int(os.pread(self._statm, 100, 0).split()[1]) * mmap.PAGESIZE
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self) -> Generator[None, object, object]:
+    def pytest_runtest_protocol(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Generator[None, object, object]:
         done = yield
         if self._resident_bytes() > self._kept + self.MUCH_BYTES:
             gc.collect()
-            gc.freeze()  # the modules and kernels that were loaded; the next collection need not look at them
+            # What is frozen is never collected: within a file, also the recordings that its fixtures hold. Between
+            # files only modules and kernels remain, which the next collection need not look at.
+            if nextitem is None or nextitem.path != item.path:
+                gc.freeze()
             self._trim(0)
             self._kept = self._resident_bytes()
         return done
