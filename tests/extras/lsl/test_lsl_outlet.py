@@ -9,15 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig.config import as_mapping, presets
 from rig.core.errors import ConfigError
 from rig.core.sample import Phase
 from rig.extras.lsl import follow, library
 from rig.extras.lsl.follow import SECRETS, Chunk, Follower, decimation, without_secrets
 from rig.extras.lsl.serve import Markers, serve
 from rig.extras.lsl.session import CUT, LINE_BYTES, marker_line
-from tests.conformance.lsl_loop import OFFSET_NS, HandTurnedLoop
+from tests.conformance.lsl_loop import INFO, OFFSET_NS, HandTurnedLoop
 
 T = int(Phase.TRIAL)
+
+
+def test_the_info_of_the_tests_has_the_keys_of_a_run() -> None:
+    experiment = as_mapping(presets.load("koul-compliant"))
+    for section, values in INFO["experiment"].items():  # type: ignore[attr-defined]
+        assert values.keys() <= experiment[section].keys()
 
 
 def contents(chunk: Chunk) -> list[dict[str, Any]]:

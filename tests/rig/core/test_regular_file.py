@@ -1,9 +1,11 @@
 """A file named by a user or a page is read only if it is a regular file of limited size."""
 
+import itertools
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -69,3 +71,32 @@ def test_a_file_that_changes_into_a_fifo_is_not_waited_for(
     monkeypatch.setattr(regular_file.os, "stat", lambda path: looked)
     with pytest.raises(OSError, match="not a regular file"):
         regular_file.open_regular(tmp_path / "fifo")
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_ctrl_c_at_any_line_of_opening_is_ctrl_c(tmp_path: Path) -> None:
+    """An interrupt after `os.fdopen` once became "Bad file descriptor", because the descriptor was closed twice."""
+    (tmp_path / "file").write_bytes(b"text")
+
+    def interrupted_at(step: int) -> bool:
+        steps = itertools.count()
+
+        def trace(frame: FrameType, event: str, value: object) -> Any:
+            del value  # the traceback would keep a returned file
+            if frame.f_globals.get("__name__") not in (regular_file.__name__, "os"):
+                return None
+            if event in ("line", "return") and next(steps) == step:
+                raise KeyboardInterrupt
+            return trace
+
+        traced = sys.gettrace()
+        sys.settrace(trace)
+        try:
+            regular_file.open_regular(tmp_path / "file").close()
+        except KeyboardInterrupt:
+            return True
+        finally:
+            sys.settrace(traced)
+        return False
+
+    assert sum(itertools.takewhile(bool, map(interrupted_at, itertools.count()))) > 5

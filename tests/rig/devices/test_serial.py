@@ -192,8 +192,22 @@ def test_a_pseudo_terminal_has_no_modem_lines_and_is_not_exclusive(link: Any) ->
     assert link.facts.low_latency is None
     assert link.facts.dtr is None
     assert link.facts.exclusive is False, "it would stay so after a kill -9: no program could open the port"
-    assert link.facts.hangs_up is False
     assert link.messages == []
+
+
+def test_closing_a_port_that_would_drop_dtr_leaves_it(line: Any) -> None:
+    """Many boards reset when DTR drops."""
+    with open(
+        line.path, "rb", buffering=0, opener=lambda path, _: os.open(path, os.O_RDWR | os.O_NOCTTY)
+    ) as before:
+        attributes = termios.tcgetattr(before)
+        attributes[CFLAG] |= termios.HUPCL
+        termios.tcsetattr(before, termios.TCSANOW, attributes)
+        assert tty_settings.hangs_up(before.fileno())
+        link = opened(line.path)
+        assert link.facts.hangs_up is False
+        assert not tty_settings.hangs_up(before.fileno())
+        link.close()
 
 
 @pytest.fixture

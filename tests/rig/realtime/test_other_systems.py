@@ -76,6 +76,24 @@ def test_foreign_memory_and_a_full_disk_are_refused(
     assert os.listdir(elsewhere / str(os.getpid())) == [named_memory.ALIVE]
 
 
+def test_a_start_beside_one_that_hangs_waits_for_it_briefly(
+    elsewhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere.mkdir(parents=True)
+    now_s = 0.0
+
+    def sleep(duration_s: float) -> None:
+        nonlocal now_s
+        now_s += duration_s
+        assert now_s < 10.0
+
+    with open(elsewhere / "lock", "ab") as held:
+        assert named_memory.locks.lock(held.fileno())
+        monkeypatch.setattr(named_memory, "time", SimpleNamespace(monotonic=lambda: now_s, sleep=sleep))
+        Ring.allocate(10, shared=True).close()
+    assert now_s > 1.0
+
+
 HOME = os.path.expanduser("~")
 
 

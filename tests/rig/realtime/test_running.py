@@ -131,6 +131,21 @@ sys.exit(rig.cli.run(["stop"]))
             other.kill()
 
 
+@pytest.mark.parametrize(
+    ("command", "meant"),
+    [
+        ("rig stop", True),
+        ("/usr/bin/python3 /home/me/.local/bin/rig hit", True),
+        ("python -X dev -m rig hit", True),
+        ("vim rig/realtime/running.py rig", False),
+        ("python -m rigging", False),
+        ("", False),
+    ],
+)
+def test_a_rig_of_another_user_is_known_by_its_command_line(command: str, meant: bool) -> None:
+    assert running._is_rig(command.encode().split(b" ")) == meant
+
+
 def test_command_stops_and_names_a_loop(capsys: pytest.CaptureFixture[str]) -> None:
     pid = os.getpid()
     with Ring.allocate(1, info=INFO, shared=True) as ring:

@@ -75,8 +75,14 @@ def test_a_thread_that_lives_on_gets_back_what_it_had() -> None:
         before = ThreadState.here()
         with obtained(Asked(cpu=min(os.sched_getaffinity(0)))) as realtime:
             entered = realtime.enter_thread()
+            in_thread(realtime.leave_thread)  # another thread, which never entered, changes nothing
+            assert ThreadState.here() == entered
             realtime.leave_thread()
-        return before, entered, ThreadState.here()
+            after = ThreadState.here()
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            realtime.leave_thread()  # a second time changes nothing
+            assert ThreadState.here().name == "SCHED_OTHER"
+        return before, entered, after
 
     before, entered, after = in_thread(body)
     assert entered.is_fifo
@@ -372,6 +378,9 @@ def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path: Pat
 @pytest.mark.parametrize(
     ("version", "extra", "kind"),
     [
+        ("#1 SMP PREEMPT_RT Debian", {}, "PREEMPT_RT"),
+        ("#1 SMP PREEMPT", {}, "PREEMPT"),
+        ("#1 SMP", {}, "none"),
         ("#1 SMP", {"sys__kernel__realtime": "1"}, "PREEMPT_RT"),
         (
             "#1 SMP PREEMPT_DYNAMIC",

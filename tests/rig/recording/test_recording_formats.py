@@ -3,7 +3,11 @@
 import csv
 import itertools
 import json
+import os
+import subprocess
+import sys
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +17,7 @@ from scipy.io import loadmat
 
 import rig
 from rig.core.errors import RecordingError
-from rig.core.sample import COLUMNS
+from rig.core.sample import COLUMNS, Phase
 from rig.experiments.trials.judgement import JUDGED, experiment_of, judge
 from rig.recording._capture import write_capture
 from rig.recording._parquet import write_parquet
@@ -192,3 +196,47 @@ def test_a_long_line_is_drawn_by_its_extremes() -> None:
     assert (np.diff(np.arange(len(values))[shown]) > 0).all()
     short = values[: 2 * STRETCHES]
     assert len(short[visible(short)]) == len(short)
+
+
+ROWS = 150_000
+
+
+def lengthen(recording: Recording) -> Recording:
+    (trial,) = np.nonzero(recording.rows["phase"] == Phase.TRIAL)
+    found = recording.rows[np.concatenate((np.arange(trial[0]), np.resize(trial, ROWS)))]
+    found["tick"] = np.arange(len(found))
+    found["device_time"] = found["device_time"][0] + 50_000 * np.arange(len(found))
+    return replace(recording, rows=found, trailer={**(recording.trailer or {}), "verdict": {}}, path=None)
+
+
+# Not ru_maxrss, which begins with the peak of the process that started this one, and cannot be reset.
+SHOW = """
+import re, sys
+import rig.cli
+from pathlib import Path
+for path in sys.argv[1:]:
+    Path("/proc/self/clear_refs").write_text("5")
+    assert rig.cli.run(["show", path, "--plot", "--json"]) == 0
+    print(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1], file=sys.stderr)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.exhaustive("::test_judging_and_drawing_take_the_columns_that_they_name")
+def test_a_long_recording_is_judged_and_drawn_within_bytes_a_row(sealed: Path, tmp_path: Path) -> None:
+    """Half way between the bytes that it takes (440, 570) and those with all columns in memory (620, 730).
+
+    One process shows all files, because its first Parquet file leaves memory that it does not need again.
+    """
+    whole, paths = open_recording(sealed), []
+    for ending, write in (("rigcap", write_capture), ("parquet", write_parquet)):
+        for name, recording in (("short", whole), ("long", lengthen(whole))):
+            paths.append(tmp_path / f"{name}.{ending}")
+            with open(paths[-1], "wb") as file:
+                write(file, recording)
+    environment = {**os.environ, "ARROW_DEFAULT_MEMORY_POOL": "system"}
+    command = [sys.executable, "-c", SHOW, *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    peaks = [1024 * int(peak) for peak in done.stderr.split()[-4:]]
+    assert (peaks[1] - peaks[0]) / ROWS < 530
+    assert (peaks[3] - peaks[2]) / ROWS < 640

@@ -26,7 +26,7 @@ from rig.session.engine._hits import DeviceRunner
 from rig.session.engine._log import read
 from rig.session.engine._run import resume_session, run_session
 from rig.session.engine._runner import RefusedWalls, SessionWall
-from rig.session.engine._telling import line_of_event
+from rig.session.engine._telling import line_of_event, whole_line
 from rig.session.planning._conditions import Walls
 from rig.session.planning._schedule import levels_of
 from tests.conformance.made_links import link
@@ -219,3 +219,4 @@ def test_the_log_says_what_is_armed_all_the_same(tmp_path: Path) -> None:
     assert opened.content["armed_anyway"] == armed
     assert "2 walls that the arming gate refuses" in line_of_event(opened)
     assert "60" not in line_of_event(opened)
+    assert whole_line(opened, "rotary").endswith("; armed anyway: a, B = 0.1, K = 60, 80")

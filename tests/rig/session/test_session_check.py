@@ -275,3 +275,10 @@ def test_the_motor_begins_no_hit_warmer_than_it_may(schemes: Protocol, share: fl
     assert found.peak <= share + found.after_one
     assert (found.first_pause > 0) == (found.pauses > 0) == (found.cooling_s > 0.0)
     assert found.pauses < trials
+
+
+def test_a_wall_has_the_seed_of_the_study(schemes: Protocol) -> None:
+    """Trials use the same seed, so a simulated device started for the checks also serves the trials."""
+    seeded = replace(schemes, study=replace(schemes.study, seed=3))
+    walls = Walls(seeded, base_of(seeded, Path()))
+    assert {walls.softest(one).trial.seed for one in seeded.condition} == {3}

@@ -1,16 +1,19 @@
 """A session stays on its rig: how a resumption identifies it, what it rejects, how an analysis reports mixtures."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rig.config import Experiment
+from rig.config import Experiment, override
 from rig.config.presets import load as preset
 from rig.core.errors import ConfigError, StoppedError
 from rig.experiments.motion.pulse import NO_HANDS
 from rig.extras.study import read_study
+from rig.session.engine import _hits as hits
 from rig.session.engine import _run as sessions
 from rig.session.engine._conduct import conduct
 from rig.session.engine._directory import LOG
@@ -131,3 +134,23 @@ def test_the_runner_says_where_it_is_and_what_runs() -> None:
     facts = DeviceRunner().facts(preset("koul-rigid"), {})
     assert facts["place"] == {"url": None, "realtime": False}
     assert {"haptic-rig", "sources", "numpy", "platform"} <= facts["versions"].keys()
+
+
+def test_a_hand_that_an_operator_takes_over_opens_the_device_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The device is opened before the desk is, to measure its pace: without a hand of the operator."""
+    held, closed = override(preset("koul-compliant"), {"trial.kind": "human"}), []
+
+    @contextmanager
+    def open_for_run(url: Any, model: Any, **options: Any) -> Iterator[Any]:
+        yield SimpleNamespace(url=url)
+        closed.append(url)
+
+    monkeypatch.setattr(hits, "open_for_run", open_for_run)
+    runner = DeviceRunner(realtime=True)
+    scripted = runner._device(held, {})
+    assert runner._device(held, {}) is scripted
+    runner.hand = Path("/somewhere/hand")
+    driven = runner._device(held, {})
+    assert closed == [scripted.url] == ["sim://"]
+    assert driven.url == "sim://?hand=/somewhere/hand"
+    assert runner._device(held, {}) is driven
