@@ -96,9 +96,7 @@ def write_endpoints(place: Path) -> Path:
     return place
 
 
-def find_odrive(
-    drive: SimulatedOdrive, model: RigModel, node: int = 0, numbers: odrive.Endpoints | None = None
-) -> FittedDrive:
+def find_odrive(drive: SimulatedOdrive, model: RigModel, node: int = 0, numbers: Any = None) -> FittedDrive:
     talk = odrive.OdriveConversation(MemoryBus(drive), node, numbers or endpoints())
     return odrive.fit(odrive.find(talk), model)
 

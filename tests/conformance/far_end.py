@@ -185,9 +185,7 @@ class WatchedFirmware(FirmwareDevice):
 class FaultyPort:
     """A port whose line follows a script; `unplug` is the port's own way to lose the plug."""
 
-    def __init__(
-        self, port: DevicePort, watched: Witness, unplug: Callable[[], None], clock: PatientClock
-    ) -> None:
+    def __init__(self, port: DevicePort, watched: Witness, unplug: Any, clock: PatientClock) -> None:
         self._port, self._watched, self._unplug, self._clock = port, watched, unplug, clock
         self._came_ns = clock.monotonic_ns()
         self._device = watched.device
@@ -376,13 +374,6 @@ class FarEnd:
         with patient_host(), open_device(self.url) as device:
             yield device
 
-    def pause(self) -> None:
-        """Stop the process (SIGSTOP), as a debugger or a frozen computer does."""
-        os.kill(self.process.pid, signal.SIGSTOP)
-
-    def resume(self) -> None:
-        os.kill(self.process.pid, signal.SIGCONT)
-
     def kill(self) -> None:
         self.process.kill()
         self.process.join(WAIT_S)
@@ -405,7 +396,6 @@ class FarEnd:
 
     def close(self) -> None:
         if self.process.is_alive():
-            self.resume()
             self.process.terminate()
             self.process.join(WAIT_S)
         if self.process.is_alive():

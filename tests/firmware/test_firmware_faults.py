@@ -40,6 +40,7 @@ from tests.firmware.supervised import Sample, samples_of
 
 RATE = 20_000
 START = -0.015
+LIBRARY = firmware_library.load(build.library())
 LAG_TICKS = 200  # many times the lag of the amplifier: the residual effort is zero
 CHANGES = {"controller.loop": "device", "controller.position_rate": RATE, "controller.velocity_rate": 2_000}
 EXPERIMENT = config.override(
@@ -98,14 +99,6 @@ class Simulated(FarEnd):
         self.link.device.hardware.external_effort = effort
 
 
-def readable() -> Simulated:
-    return Simulated(SimulatedDevice(rotary_rig()))
-
-
-def firmware() -> Simulated:
-    return Simulated(FirmwareDevice(rotary_rig(), library=firmware_library.load(build.library())))
-
-
 class InTheWall(Simulated):
     """The firmware with its own law in the wall; the host supervises."""
 
@@ -114,8 +107,7 @@ class InTheWall(Simulated):
     blow = 5.0
 
     def __init__(self, model: RigModel = MODEL, **changes: Value) -> None:
-        library = firmware_library.load(build.library())
-        self.device = FirmwareDevice(model, library=library, initial_position=START)
+        self.device = FirmwareDevice(model, library=LIBRARY, initial_position=START)
         super().__init__(self.device)
         self.changes = changes
 
@@ -161,12 +153,10 @@ class InTheWall(Simulated):
 
 
 FAR_ENDS: dict[str, Callable[[], Simulated]] = {
-    "the readable device": readable,
-    "the firmware": firmware,
+    "the readable device": lambda: Simulated(SimulatedDevice(rotary_rig())),
+    "the firmware": lambda: Simulated(FirmwareDevice(rotary_rig(), library=LIBRARY)),
     "the law on the firmware": InTheWall,
 }
-
-
 OF_EACH_KIND = {
     "silence", "STOP", "hold-to-run is released", "the emergency stop is pressed",
     "an illegal transition of the encoder", "the count jumps", "a short circuit", "a blow",

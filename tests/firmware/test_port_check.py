@@ -108,24 +108,21 @@ def test_a_current_above_the_rigs_limit_is_refused(board: CDLL) -> None:
     assert was_on(board) == (False, False)
 
 
-class Silent(SimulatedPort):
-    """A board that stops replying after `questions` requests."""
+def silent_after(run: Run, questions: int) -> Run:
+    """Return a board that stops replying after some requests."""
+    asked = 0
 
-    def __init__(self, run: Run, questions: int) -> None:
-        super().__init__(run)
-        self._left = questions
+    def reply(us: int, data: bytes) -> bytes:
+        nonlocal asked
+        asked += bool(data)
+        sent = run(us, data)
+        return sent if asked <= questions else b""
 
-    def write(self, data: bytes) -> None:
-        self._left -= 1
-        super().write(data)
-
-    def read(self, timeout_s: float) -> bytes:
-        data = super().read(timeout_s)
-        return data if self._left >= 0 else b""
+    return reply
 
 
 def test_board_that_stops_replying_breaks_the_duty_in_test_and_skips_the_rest(board: CDLL) -> None:
-    link = Silent(powered_up(board), 3)
+    link = SimulatedPort(silent_after(powered_up(board), 3))
     found = check_port(lambda: link, PortCheckRequest(seconds=0.1))
     texts = {one.name: one.text for one in found.checks}
     assert list(broken(found)) == ["time_of_timer", "tick_rate", "tick_grid"]
@@ -134,7 +131,7 @@ def test_board_that_stops_replying_breaks_the_duty_in_test_and_skips_the_rest(bo
 
 
 def test_silent_port_is_a_lost_link_with_the_image_to_flash(board: CDLL) -> None:
-    link = Silent(powered_up(board), 0)
+    link = SimulatedPort(silent_after(powered_up(board), 0))
     with pytest.raises(LinkLostError, match="no reply at") as caught:
         check_port(lambda: link, PortCheckRequest())
     assert "--check-port" in caught.value.remedy

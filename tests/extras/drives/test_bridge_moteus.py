@@ -33,11 +33,7 @@ def other(**parts: Any) -> RigModel:
     return model
 
 
-def refusal(
-    drive: SimulatedMoteus,
-    model: RigModel | None = None,
-    kind: type[errors.RigError] = errors.DeviceRefusedError,
-) -> str:
+def refusal(drive: SimulatedMoteus, model: Any = None, kind: Any = errors.DeviceRefusedError) -> str:
     with pytest.raises(kind) as caught:
         find_moteus(drive, model or bridged_rig())
     assert caught.value.remedy

@@ -12,7 +12,6 @@ from firmware_protocol.parameters import BY_NAME
 from rig import config
 from rig.config import controller
 from rig.core import errors
-from rig.core.model import RigModel
 from rig.devices.device import DeviceUrl
 from rig.extras.drives import describe, odrive
 from rig.extras.drives.address import address_of
@@ -43,11 +42,7 @@ def drive_with(settings: dict[str, str] | None = None, **options: Any) -> Simula
     return SimulatedOdrive(bridged_rig(), OdriveOptions(settings=ODRIVE_SETUP | (settings or {}), **options))
 
 
-def refusal(
-    drive: SimulatedOdrive,
-    model: RigModel | None = None,
-    kind: type[errors.RigError] = errors.DeviceRefusedError,
-) -> str:
+def refusal(drive: SimulatedOdrive, model: Any = None, kind: Any = errors.DeviceRefusedError) -> str:
     """Return the message of a rejection; the drive stays at rest."""
     with pytest.raises(kind) as caught:
         find_odrive(drive, model or bridged_rig())

@@ -58,16 +58,14 @@ def test_the_static_slope_is_the_stiffness(side: int, sign: int, ratio: float) -
     assert rest[0] == pytest.approx(side * (-0.01 + 0.02 / 0.5), abs=2 * COUNT)
 
 
-def continuous(
-    x: Experiment, stiffness: float, damping: float, filter_hz: float = 400.0
-) -> NDArray[np.float64]:
+def continuous(x: Experiment, stiffness: float, damping: float) -> NDArray[np.float64]:
     """Return rig, amplifier lag and drive filter as one linear system; 30 kHz is nearly continuous.
 
     The states are position, velocity, effort, and the filter's two: f' = w + 2ω(x − f), w' = ω²(x − f). The wall is
     −K f − B w.
     """
     m, lag = x.rig.mechanics, x.rig.amplifier.lag_s
-    inertia, own = m.motor_inertia + m.link_inertia, 2.0 * math.pi * filter_hz / SHAPE
+    inertia, own = m.motor_inertia + m.link_inertia, 2.0 * math.pi * 400.0 / SHAPE
     return np.array(
         [
             [0.0, 1.0, 0.0, 0.0, 0.0],
@@ -177,20 +175,22 @@ def stop_bridge(run: Walled) -> None:
     run.world.alive = False
 
 
-def kill_bridge(run: Walled) -> None:
-    run.world.alive = False
-
-
-def pull_adapter_out(run: Walled) -> None:
-    run.world.bridge.lose_bus(run.world._now)
-
-
 @pytest.mark.parametrize(
     ("end", "within_s", "mode", "fault"),
     [
         (stop_bridge, 0.001, 0, 0),
-        (kill_bridge, WATCHDOG_S + SLACK_S, 11, 0),  # the watchdog of the drive
-        (pull_adapter_out, WATCHDOG_S + SLACK_S, None, DriveFault.BUS_LOST),
+        (
+            lambda run: setattr(run.world, "alive", False),
+            WATCHDOG_S + SLACK_S,
+            11,
+            0,
+        ),  # the watchdog of the drive
+        (
+            lambda run: run.world.bridge.lose_bus(run.world._now),
+            WATCHDOG_S + SLACK_S,
+            None,
+            DriveFault.BUS_LOST,
+        ),
         (lambda run: run.host.command(mode=Mode.STOP), 0.0005, None, 0),
     ],
     ids=["the bridge ends", "the bridge is killed", "the adapter is pulled out", "the host stops"],

@@ -4,7 +4,7 @@ import ctypes as ct
 import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -172,14 +172,12 @@ class LawLibrary:
         return table
 
     def tick(
-        self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1, active: int = 0
+        self, state: Any, parameters: Any, count: int, elapsed: int = 1, active: int = 0
     ) -> ct.Structure:
         sample = Input(count, elapsed, active)
         return self.so.law_tick(ct.byref(state), ct.byref(parameters), ct.byref(sample))
 
-    def run(
-        self, parameters: ct.Structure, table: np.ndarray, state: ct.Structure | None = None
-    ) -> np.ndarray:
+    def run(self, parameters: Any, table: np.ndarray, state: ct.Structure | None = None) -> np.ndarray:
         """Run a law (a new one by default) over a table of inputs; return the output of each tick."""
         state = self.reset(parameters) if state is None else state
         out = np.zeros(len(table), TICKS)

@@ -1,5 +1,8 @@
 """A simulated hit for the C law: experiments, and the counts of the host law's run of them."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from rig import config
@@ -19,9 +22,7 @@ DUAL = {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000}
 UNIFORM = {"controller.position_rate": 20_000, "controller.velocity_rate": 20_000}
 
 
-def experiment_of(
-    estimator: str, parameters: dict[str, float | str], *changes: dict[str, object]
-) -> Experiment:
+def experiment_of(estimator: str, parameters: Mapping[str, Any], *changes: dict[str, object]) -> Experiment:
     """Return the preset `koul-compliant` with another estimator and further changes."""
     given: dict[str, object] = {"controller.estimator": estimator, "controller.parameters": parameters}
     for change in changes:

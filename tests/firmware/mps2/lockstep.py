@@ -153,39 +153,27 @@ class Rig(StubLink):
         self._world = World()
         self._to_device = b""
         self._to_host: list[bytes] = []
-        self._reply = exchange(self._world, b"", False)
-        self._rate = self._reply.rate
+        self.reply = exchange(self._world, b"", False)
+        self._rate = self.reply.rate
         self.hardware = Hardware(model, self._rate, seed=0, initial_position=None)
         self._trace: list[tuple[int, int, int, int, int]] = []
-        self.sent: list[bytes] = [self._reply.bytes]
+        self.sent: list[bytes] = [self.reply.bytes]
         self.inputs = 0
 
     @property
     def trace(self) -> np.ndarray:
         return np.array(self._trace, TRACE)
 
-    @property
-    def state(self) -> State:
-        return self._reply.state
-
-    @property
-    def current(self) -> int:
-        return self._reply.current
-
-    @property
-    def enabled(self) -> bool:
-        return self._reply.enabled
-
     def tick(self) -> None:
         """Run a tick of the board (sample, law, current), then move the plant until the next."""
         for at in range(0, max(1, len(self._to_device)), HOST_BYTES):
             piece = self._to_device[at : at + HOST_BYTES]
             last = at + HOST_BYTES >= len(self._to_device)
-            self._reply = self._exchange(self._world, piece, last)
-            self._keep(self._reply)
+            self.reply = self._exchange(self._world, piece, last)
+            self._keep(self.reply)
         self._to_device = b""
         self._trace.append(
-            (len(self._trace), self._world.count, self._reply.current, self._reply.state, self._reply.enabled)
+            (len(self._trace), self._world.count, self.reply.current, self.reply.state, self.reply.enabled)
         )
         self._move()
 
@@ -195,10 +183,10 @@ class Rig(StubLink):
             self.sent.append(reply.bytes)
 
     def _move(self) -> None:
-        if self._reply.rate != self._rate:
-            self._rate = self._reply.rate
+        if self.reply.rate != self._rate:
+            self._rate = self.reply.rate
             self.hardware.set_rate(self._rate)
-        self.hardware.advance(self._reply.current)
+        self.hardware.advance(self.reply.current)
         time = self._world.time + UNITS_PER_SECOND // self._rate
         age = round(min(self.hardware.edge_age_s * UNITS_PER_SECOND, time))
         self._world = World(time, self.hardware.count, time - age, self.hardware.measured, self.inputs)

@@ -67,11 +67,11 @@ def hit(partner: Partner, experiment: Experiment, ticks: int) -> Rig:
             live = device_law.live_parameters(prepared, device_law.arithmetic_of(wall.controller), numbers)
             device._command(*set_parameters(encode_block(live), device._next_nonce()))
         rig.tick()
-    assert rig.state == State.RUNNING
+    assert rig.reply.state == State.RUNNING
     assert len(rig.trace) - first >= ticks
     device.stop()
     device.disarm()
-    assert rig.state == State.CONFIGURED
+    assert rig.reply.state == State.CONFIGURED
     return rig
 
 
@@ -137,10 +137,10 @@ class InLockStep(FarEnd):
         self.rig.inputs = self.rig.inputs | which if active else self.rig.inputs & ~which
 
     def effort(self) -> float:
-        return float(self.rig.current)
+        return float(self.rig.reply.current)
 
     def enabled(self) -> bool:
-        return self.rig.enabled
+        return self.rig.reply.enabled
 
 
 def test_each_fault_is_zero_effort_in_time_on_the_processor(tmp_path: Path) -> None:

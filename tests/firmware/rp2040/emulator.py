@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -45,18 +44,9 @@ FLASH_ID = "e6614103e7452d2f"
 FULL_SCALE_A = 10.0
 MONITOR_V_PER_A = 0.165
 PINS = {
-    "encoder": 2,
-    "encoder_complement": 14,
-    "pwm": 8,
-    "dac": 17,
-    "enable": 10,
-    "hold_to_run": 11,
-    "emergency_stop": 12,
-    "encoder_index": 20,
-    "limit_switch": 13,
-    "sync_in": 4,
-    "sync_out": 5,
-}
+    "encoder": 2, "encoder_complement": 14, "encoder_index": 20, "limit_switch": 13, "pwm": 8, "dac": 17, "enable": 10,
+    "hold_to_run": 11, "emergency_stop": 12, "sync_in": 4, "sync_out": 5,
+}  # fmt: skip
 PRESET = "koul-rigid"
 # Images of the tests: changes of the rig, settings of the board. Linking takes seconds, so "full" has the converter,
 # every optional signal of the encoder, and an amplifier that delays its set-point as an ESCON by PWM does.
@@ -199,9 +189,7 @@ class Pico:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         if error is None:
             _idle.append(self._process)
         else:  # in the middle of anything

@@ -5,8 +5,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from firmware_protocol.faults import Input
-from firmware_protocol.messages import Sync
 from rig.config import override
 from rig.config._derive import rig_model
 from rig.config.presets import load
@@ -38,31 +36,6 @@ def test_the_pins_show_the_current_with_its_direction_and_the_monitor_what_flows
         adc_step = 3.3 / 4096 / emulator.MONITOR_V_PER_A / QUANTUM_A
         measured = session.host.states[-1].current_measured
         assert measured == pytest.approx(quanta, abs=2.0 * adc_step + DUTY_STEP_A / QUANTUM_A)
-
-
-def test_the_sync_outputs_show_what_a_command_says_as_long_as_it_lives(powered: Powered) -> None:
-    session = powered()
-    session.configure(position_rate=5_000)
-    session.arm()
-
-    def share_high(output: int) -> float:
-        seen = session.pico.ask("high", pin=emulator.PINS["sync_out"] + output, us=1_000)
-        return float(seen["high"] / seen["time"])
-
-    for flags, trial, inside in (
-        (Sync.TRIAL, 1.0, 0.0),
-        (Sync.TRIAL | Sync.INSIDE, 1.0, 1.0),
-        (0, 0.0, 0.0),
-        (0xFF, 1.0, 1.0),
-    ):
-        session.host.command(0, flags=int(flags))
-        session.listen(0.001)
-        assert (share_high(1), share_high(2)) == pytest.approx((trial, inside))
-        assert 0.0 < share_high(0) < 0.8, "the tick's own"
-        shown = session.host.states[-1].inputs
-        assert (bool(shown & Input.SYNC_TRIAL), bool(shown & Input.SYNC_INSIDE)) == (trial == 1, inside == 1)
-    session.listen(0.03)
-    assert (share_high(1), share_high(2)) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("drive", ["current", "voltage"])

@@ -317,20 +317,6 @@ def test_a_known_dictionary_is_recognised_by_its_hash() -> None:
     assert FramedDevice(MemoryLink(other)).dictionary != known
 
 
-@pytest.mark.parametrize(
-    ("missing", "status", "word"),
-    [("reference_count", Status.NOT_HOMED, "home"), ("verified", Status.NOT_VERIFIED, "verified")],
-)
-def test_arming_is_refused_with_the_reason(missing: str, status: Any, word: str) -> None:
-    _, _, device = make()
-    device.configure({name: value for name, value in RUN_PARAMETERS.items() if name != missing})
-    with pytest.raises(DeviceRefusedError) as caught:
-        device.arm()
-    assert caught.value.status == status
-    assert word in str(caught.value)
-    assert device.connection.session == 0
-
-
 def test_a_stale_session_is_answered_with_another_number() -> None:
     """The device stores the number of the last session; a newly started host does not know it."""
     simulated, _, first = make()

@@ -111,15 +111,9 @@ def test_an_error_without_a_number_is_an_unplugged_port(line: Any, monkeypatch: 
 
 
 def on_the_board() -> Experiment:
-    changes = {
-        "controller.loop": "device",
-        "controller.position_rate": RATE_HZ,
-        "controller.velocity_rate": RATE_HZ // 10,
-        "controller.supervise_lifetime_s": 0.1,
-        "wall.stiffness": 60.0,
-        "wall.damping": 0.05,
-        "trial.duration_s": 0.6,
-    }
+    keys = {"loop": "device", "position_rate": RATE_HZ, "velocity_rate": RATE_HZ // 10}
+    changes = {f"controller.{key}": value for key, value in (keys | {"supervise_lifetime_s": 0.1}).items()}
+    changes |= {"wall.stiffness": 60.0, "wall.damping": 0.05, "trial.duration_s": 0.6}
     return config.override(presets.load("koul-rigid"), changes)
 
 

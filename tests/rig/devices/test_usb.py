@@ -156,17 +156,17 @@ def test_the_pipes_are_found_among_other_interfaces_and_endpoints(bus: Any) -> N
     assert links._find_interface(composite) == links._Pipes(3, 0x84, 0x02, 512)
 
 
-def test_no_permission_gives_the_command_that_installs_the_rules(bus: Any) -> None:
-    device = Device(fails={"get_active_configuration": error(errno.EACCES)})
-    caught = refused(bus, DeviceNotFoundError, device)
-    assert "no permission" in caught.message
-    assert RULES_COMMAND in caught.remedy
-
-
-def test_busy_names_the_node_that_fuser_wants(bus: Any) -> None:
-    caught = refused(bus, DeviceNotFoundError, Device(fails={"claim": error(errno.EBUSY)}))
-    assert "in use" in caught.message
-    assert "/dev/bus/usb/001/007" in caught.remedy
+@pytest.mark.parametrize(
+    ("call", "number", "message", "remedy"),
+    [
+        ("get_active_configuration", errno.EACCES, "no permission", RULES_COMMAND),
+        ("claim", errno.EBUSY, "in use", "/dev/bus/usb/001/007"),  # the node that fuser wants
+    ],
+)
+def test_a_device_that_may_not_be_opened(bus: Any, call: str, number: int, message: str, remedy: str) -> None:
+    caught = refused(bus, DeviceNotFoundError, Device(fails={call: error(number)}))
+    assert message in caught.message
+    assert remedy in caught.remedy
 
 
 @pytest.mark.parametrize("fails", [error(errno.ENODEV), error(errno.EIO), NotImplementedError("no")])
