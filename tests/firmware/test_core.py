@@ -217,6 +217,15 @@ def test_an_old_edge_never_looks_fresh(library: CDLL) -> None:
 # ---------------------------------------------------------------------- hardware
 
 
+def test_the_age_of_a_command_saturates(library: CDLL) -> None:
+    board = Board(library).begin()
+    board.tick(50)
+    for _ in range(RATE // 10):
+        state = seen(board.tick())
+    assert state.fault == Fault.LINK_LOST
+    assert seen(board.tick(missed=70_000)).command_age == 0xFFFF  # a device that is not armed may miss ticks
+
+
 def test_encoder_failure_is_a_fault_before_arming_too(library: CDLL) -> None:
     board = Board(library)
     board.ask(m.Identify(1, 0))

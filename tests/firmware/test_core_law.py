@@ -419,6 +419,15 @@ def test_state_comes_two_hundred_times_a_second(library: CDLL, rate: int, every:
     assert board.host.statistics.lost == (every == 1)  # a tick without a STATE is not a lost one
 
 
+def test_a_fault_is_reported_at_once_and_once(library: CDLL) -> None:
+    board = Board(library).begin(**run_values(push(), window_maximum=1_000))
+    board.run([0] * 3)
+    seen = len(board.states)
+    board.run([1_001])
+    board.tick()
+    assert [state.fault for state in board.states[seen:]] == [Fault.POSITION_WINDOW]
+
+
 def test_the_fault_log_has_each_tick_with_its_own_limits(library: CDLL) -> None:
     window = {"window_maximum": 1_000, "window_minimum": -1_000}
     board = Board(library).begin(**run_values(push(), batch_layout=2, **window))

@@ -405,6 +405,23 @@ def test_part_used_in_many_places_computes_the_same() -> None:
     assert later(4.0) == 7.0 + 4.0 + 5.0 + 3.0
 
 
+def test_an_exception_of_a_part_reaches_the_caller() -> None:
+    @kernel("f8(f8)", cache=False)
+    def root(x: Any) -> Any:
+        if x < 0.0:
+            raise ValueError("no root of a negative number", x)
+        return np.sqrt(x)
+
+    @kernel("f8(f8)", cache=False)
+    def sum_of_roots(x: Any) -> Any:
+        return root(x) + root(x - 1.0)
+
+    assert sum_of_roots(4.0) == 2.0 + np.sqrt(3.0)
+    with pytest.raises(ValueError, match="no root of a negative number") as raised:
+        sum_of_roots(0.5)
+    assert raised.value.args == ("no root of a negative number", -0.5)
+
+
 def test_threads_prepare_a_kernel_once() -> None:
     @kernel("f8(f8)", cache=False)
     def square(x: Any) -> Any:

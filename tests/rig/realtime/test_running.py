@@ -169,6 +169,15 @@ def wait_for_stop(ring: Ring) -> None:
     ring.put(control_words.LOOP_DONE, 1)
 
 
+def test_command_succeeds_when_no_loop_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(running, "stop", lambda *_, **__: [])
+    monkeypatch.setattr(running, "hidden", list)
+    assert rig.cli.run(["stop"]) == 0
+    assert "nothing to stop" in capsys.readouterr().out
+
+
 def test_command_reports_a_loop_that_does_not_stop(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
