@@ -39,17 +39,10 @@ UNIT_TWICE_NS = 125  # two units of device time
 TRAVEL_NS = 80_000  # of a line, each way
 CURRENT = 200  # quanta of 1 mA: 0.02 N·m at the handle, 0.01 at the output
 MOTEUS_SETUP = {"servo.timeout_mode": "0"}
-ODRIVE_SETUP = {
-    odrive.WATCHDOG: "1",
-    odrive.WATCHDOG_S: "0.005",
-    odrive.VELOCITY_LIMITED: "0",
-    odrive.OVERSPEED: "0",
-    odrive.ENCODER_MS: "1",
-    odrive.TORQUES_MS: "1",
-    odrive.HEARTBEAT_MS: "10",
-    "axis0.config.can.temperature_msg_rate_ms": "20",
-    "axis0.config.can.bus_voltage_msg_rate_ms": "20",
-}
+ODRIVE_SETUP = {odrive.WATCHDOG: "1", odrive.WATCHDOG_S: "0.005", odrive.HEARTBEAT_MS: "10"}
+ODRIVE_SETUP |= dict.fromkeys((odrive.VELOCITY_LIMITED, odrive.OVERSPEED), "0")
+ODRIVE_SETUP |= dict.fromkeys((odrive.ENCODER_MS, odrive.TORQUES_MS), "1")
+ODRIVE_SETUP |= {f"axis0.config.can.{name}_msg_rate_ms": "20" for name in ("temperature", "bus_voltage")}
 Way = Literal["to drive", "from drive"]
 Strike = Callable[[bytes], bytes]
 
@@ -61,7 +54,7 @@ def bridged_rig(**changed: Any) -> RigModel:
     return replace(model, encoder=encoder)
 
 
-class MemoryBus:
+class MemoryBus:  # a rig.extras.drives.bus.Bus
     place, descriptor, checksum, is_socket, messages = "memory", -1, True, False, ()
 
     def __init__(self, drive: Simulated) -> None:

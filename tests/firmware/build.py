@@ -78,9 +78,7 @@ def kept(key: str, make: Callable[[Path], None]) -> Path:
     path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     if not path.exists():
         with open(f"{path}.lock", "w") as lock, tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY) as workplace:
-            fcntl.flock(
-                lock, fcntl.LOCK_EX
-            )  # linking an image takes seconds, which two processes need not spend
+            fcntl.flock(lock, fcntl.LOCK_EX)  # linking an image takes seconds: once is enough
             if not path.exists():
                 made = Path(workplace) / "made"
                 made.mkdir()

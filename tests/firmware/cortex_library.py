@@ -76,15 +76,8 @@ class CortexLibrary:
         dictionary = ctypes.string_at(given.dictionary, given.dictionary_bytes)
         assert len(dictionary) <= MOST_DICTIONARY
         self._write(DICTIONARY, dictionary)
-        head = struct.pack(
-            "<I4xQIIiI",
-            DICTIONARY,
-            given.dictionary_hash,
-            given.dictionary_bytes,
-            given.rate_initial,
-            given.encoder_sign,
-            given.over_current,
-        )
+        words = (given.dictionary_bytes, given.rate_initial, given.encoder_sign, given.over_current)
+        head = struct.pack("<I4xQIIiI", DICTIONARY, given.dictionary_hash, *words)
         self._write(SETUP, head + bytes(given.mechanics) + bytes(given.current_sensor))
         self.simulator.call("host_setup", HOST, SETUP)
 

@@ -96,9 +96,7 @@ def test_missed_ticks_are_counted_and_show_as_lost_states(library: CDLL) -> None
     assert state.fault == Fault.NONE
     board.late = PERIOD - 1
     late = seen(board.tick(10))
-    assert (late.missed_ticks, late.sample_index) == (1, state.sample_index + 1), (
-        "a late tick is not a missed one"
-    )
+    assert (late.missed_ticks, late.sample_index) == (1, state.sample_index + 1), "late, not missed"
 
 
 def test_two_missed_ticks_in_succession_end_an_armed_run(library: CDLL) -> None:
