@@ -5,6 +5,7 @@ import math
 import runpy
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,8 @@ from click.testing import CliRunner
 
 import rig.session as rig_session
 from rig.cli import rig
+from rig.config import as_mapping, override, presets
+from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.extras.study import (
     AnalysisOptions,
@@ -25,11 +28,12 @@ from rig.extras.study import (
     read_study,
     write_study_tables,
 )
+from rig.extras.study import trials as trials_module
 from rig.extras.study.cli_analyse import show
 from rig.extras.study.trials import answers, half_way, levels
 from rig.session.engine._log import SessionLog
 from rig.session.search._rule import verdicts_of
-from tests.conformance.studies import VERSIONS, Person, protocol, sitting, without_sync, write_study
+from tests.conformance.studies import PRESET, VERSIONS, Person, protocol, sitting, without_sync, write_study
 from tests.conformance.tiers import first_by_default
 
 EXAMPLE = Path(rig_session.__file__).parent / "examples" / "from_tables.py"
@@ -159,6 +163,23 @@ def test_every_trial_is_there_and_says_whether_it_counts(found: Any) -> None:
     assert {run.state for run in found.runs} == {"complete"}
     places = [run.place for run in found.runs if run.participant == "P01"]
     assert places == list(range(1, 7))
+
+
+def test_differences_without_an_interval_are_counted_in_a_message(found: Any) -> None:
+    assert not any("no interval and no p" in message for message in found.messages)
+    alike = [
+        replace(one, problem="the differences are alike") for one in found.paired if one.measure == "rule"
+    ]
+    messages = replace(found, paired=tuple(alike)).messages
+    assert any(message.startswith("1 paired difference has no interval and no p") for message in messages)
+
+
+@pytest.mark.parametrize("scheme", [None, "uniform:20k", "uniform:20k,cutoff_hz=1000"])
+@pytest.mark.parametrize("cutoff", ["as-in-the-paper", "same"])
+def test_a_scheme_has_the_settings_of_its_experiment(scheme: str | None, cutoff: str) -> None:
+    experiment = override(presets.load(PRESET), {"controller.scheme_cutoff": cutoff})
+    label = (Scheme.parse(scheme) if scheme else Scheme.of(experiment)).label(experiment)
+    assert trials_module._scheme_words(scheme, as_mapping(experiment)["controller"]) == label
 
 
 def test_the_rules_own_limit_is_what_the_rule_says_of_the_replayed_log(found: Any) -> None:

@@ -17,7 +17,7 @@ from rig.config._table import parameters
 from rig.extras.study import AnalysisOptions, analyse, cli_report
 from rig.extras.study.plots import draw_study, pictures, tracks_name
 from rig.extras.study.report import NUMBERS, PAGE, numbers, render, write_session_report
-from rig.extras.study.report_events import deviations, invalid_trials, notes
+from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
 from rig.extras.study.report_tables import summarise_differences
 from rig.session.engine._state import SessionState
@@ -373,6 +373,22 @@ def test_an_order_is_balanced_where_each_row_is_there_equally_often(
     write_study(tmp_path, protocol(order={"repeats": 1}, search={"step": 200.0}), sessions)
     texts = {paragraph.heading: paragraph.text for paragraph in methods(analyse([tmp_path]))}
     assert sentence in texts["Order and blinding"]
+
+
+def apparatus(found: Any) -> str:
+    return next(paragraph.text for paragraph in methods(found) if paragraph.heading == "Apparatus")
+
+
+def test_the_damping_of_a_voltage_drive_is_reported(found: Any, tmp_path: Path) -> None:
+    changes = {"rig.amplifier.drive": "voltage", "operator.press": 2.0}
+    write_study(tmp_path, protocol(study={"changes": changes}, search={"step": 200.0}), {"P01": person()})
+    assert "back-EMF damped the handle by 0.0253 N·m·s/rad" in apparatus(analyse([tmp_path]))
+    assert "back-EMF" not in apparatus(found)
+
+
+def test_measured_values_in_reasons_have_units(found: Any) -> None:
+    text = _with_units(found.study.sessions[0], "heard 0.113 above 0.1; felt 2e-05 above 1e-05; it moved")
+    assert text == "heard 0.113 above 0.1 N·m; felt 2e-05 above 1e-05 rad/s; it moved"
 
 
 @pytest.mark.parametrize(

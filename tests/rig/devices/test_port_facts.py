@@ -117,6 +117,11 @@ def test_a_problem_has_the_command_that_removes_it(changed: Any, command: str | 
     assert all(command in problem.remedy for problem in problems)
 
 
+def test_a_pseudo_terminal_is_not_taken_for_the_console_of_the_same_number(tree: Tree) -> None:
+    tree.plug("0", "ftdi_sio", **FTDI)
+    assert tree.facts("/dev/pts/0").driver is None
+
+
 def test_reading_the_facts_of_a_port_does_not_open_it(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     """Opening a port changes its modem lines, and may reset a running board."""
     port = tree.plug("ttyUSB0", "ftdi_sio", 16, **FTDI)

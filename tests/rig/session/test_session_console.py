@@ -284,10 +284,8 @@ def test_a_key_on_the_page_of_the_keys_does_what_the_page_says(key: str, outcome
     conversation = make_conversation(make_question("verdict", ("judge", "redo", "note", "abort")))
     conversation.press("?")
     assert conversation.press(key) == outcome
-    assert (conversation.help, conversation.question is None) == (
-        False,
-        outcome[:1] not in ([], [StopPressed()]),
-    )
+    assert not conversation.help
+    assert (conversation.question is None) == any(isinstance(one, Answer) for one in outcome)
 
 
 @settings(max_examples=40)

@@ -10,11 +10,14 @@ import pytest
 
 from rig.config import Experiment, VerdictLimits
 from rig.config.presets import load as preset
+from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.doctor._round_trip import LinkMeasurement
 from rig.doctor.pace import Pace, pace_of
 from rig.recording.quantiles import Distribution
+from rig.session.engine import _device_checks as on_device
+from rig.session.engine._hits import DeviceRunner
 from rig.session.engine._log import Event
 from rig.session.engine._pace import refuse_lossy, sentence
 from rig.session.engine._place import resume_command
@@ -99,6 +102,26 @@ def test_a_hopeless_session_is_refused_unless_the_operator_accepts_it() -> None:
     refuse_lossy(walls, runner)
     assert runner.rates == [20_000]  # the fastest of the session, once
     refuse_lossy(walls, SlowRunner(replace(bad, hopeless=False)))
+
+
+@pytest.mark.parametrize(
+    ("change", "outcome"),
+    [
+        ({"lost_share": 0.0}, Outcome.OK),
+        ({}, Outcome.WARNING),
+        ({"hopeless": True}, Outcome.REFUSED),
+    ],
+)
+def test_a_check_of_a_study_on_a_device_reports_lost_samples(
+    change: dict[str, Any], outcome: Outcome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = Pace(rate_hz=1000, lost_share=0.02, longest_gap_s=0.003, hopeless=False, kept_hz=250)
+    monkeypatch.setattr(DeviceRunner, "pace", lambda *_: replace(lost, **change))
+    for name in ("fit_checks", "arming_checks"):
+        monkeypatch.setattr(on_device, name, lambda *_: [])
+    (check,) = on_device.device_checks("sim://", Walls(protocol_of(), preset("koul-rigid")))
+    assert (check.name, check.outcome) == ("samples", outcome)
+    assert outcome is Outcome.OK or "run at 250 Hz" in check.remedy
 
 
 def test_the_measured_loss_is_in_the_log_and_its_line() -> None:
