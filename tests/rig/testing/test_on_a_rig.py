@@ -21,6 +21,8 @@ from rig import config, devices
 from rig.config import presets
 from rig.core.model import RigModel
 from rig.devices.framed import FramedDevice
+from rig.realtime import control_words
+from rig.realtime.ring import Ring
 from rig.testing import Experiments, SerialRig, serve_rig
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
@@ -246,7 +248,34 @@ def acting_person(sees: Callable[[], bool], does: Callable[[], object]) -> Itera
         person.join()
 
 
-@pytest.mark.exhaustive("::test_however_a_test_ends_the_host_sends_its_rig_stop")
+@pytest.mark.parametrize("may_end", [False, True])
+def test_rig_stop_ends_all_tests(
+    may_end: bool, bench: Bench, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise the next test would move the rig again."""
+    allocate = Ring.allocate
+
+    def stopped(*arguments: Any, **options: Any) -> Ring:
+        ring = allocate(*arguments, **options)
+        ring.put(control_words.STOP, -4711)  # as process 4711 does for `rig stop`
+        return ring
+
+    monkeypatch.setattr(Ring, "allocate", stopped)
+    suite.makepyfile(
+        f"""
+        def test_of_a_hit(rig_hit, rig_experiment): rig_hit(rig_experiment.short(), may_end={may_end})
+
+        def test_of_the_next(rig_hit): print("the next test runs")
+        """
+    )
+    result = suite.runpytest_inprocess(*TYPED, "-s")
+    assert result.ret == 130
+    result.stdout.fnmatch_lines(["*Exit: stopped by process 4711 *; the effort is zero*"])
+    assert "the next test runs" not in result.stdout.str()
+    assert bench.at_rest
+
+
+@pytest.mark.exhaustive("::test_rig_stop_ends_all_tests")
 @pytest.mark.signals
 def test_ctrl_c_in_a_hit_ends_all_tests(bench: Bench, suite: pytest.Pytester) -> None:
     suite.makepyfile(
