@@ -52,7 +52,8 @@ class CoggingMap:
     unseen
         Largest amplitude that a harmonic not listed in `orders` may have (N·m or N).
     friction
-        Friction level: half the difference of the efforts up and down (N·m or N).
+        Friction: the mean over a period of half the difference of the efforts up and down (N·m or N). If it varies with
+        position, the interval includes what torque ripple as its cause would add to the mean.
     position, effort, rubbing
         Positions in the range (rad or m), measured cogging (half the sum of the efforts up and down, N·m or N) and
         measured friction (half their difference, N·m or N) at these positions, shape (n,).
@@ -139,7 +140,7 @@ def fit_cogging(
     orders, unseen = _orders(pairs, period, most_order)
     each = np.array([fitted_pair(pair, period, orders) for pair in pairs])
     every = [from_scatter(float(column.mean()), column) for column in each.T]
-    levels, n = each[:, -2:] @ [[0.5, -0.5], [0.5, 0.5]], len(orders)  # bias, friction
+    bias, n = float(each[:, -2:].mean()), len(orders)
     at, up, down = _mean_efforts(pairs, low, high, wave)
     maps = np.array([basis(at, period, orders) @ row[: 2 * n] for row in each])
     factor = quantile(len(pairs) - 1) / math.sqrt(len(pairs))
@@ -152,9 +153,9 @@ def fit_cogging(
         maximum=float(high),
         ci95=factor * float(maps.std(axis=0, ddof=1).max()),
         unseen=unseen,
-        friction=from_scatter(float(levels[:, 1].mean()), levels[:, 1]),
+        friction=_mean_friction(pairs, period, most_order),
         position=at,
-        effort=0.5 * (up + down) - float(levels[:, 0].mean()),
+        effort=0.5 * (up + down) - bias,
         rubbing=0.5 * (down - up),
     )
 
@@ -247,6 +248,22 @@ def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
     ]
     found: Floats = np.linalg.lstsq(np.vstack(rows), np.concatenate([up[1], down[1]]), rcond=None)[0]
     return found
+
+
+def _mean_friction(pairs: Sequence[Pair], period: float, most: int) -> Interval:
+    # A range that is no whole number of periods mixes harmonics into the mean unless they are fitted, too.
+    found = []
+    for up, down in pairs:
+        rising, falling = (
+            np.column_stack([basis(x, period, range(1, most + 1)), np.ones(len(x))]) for x, _ in (up, down)
+        )
+        rows = np.block([[rising, -rising], [falling, falling]])
+        found.append(np.linalg.lstsq(rows, np.concatenate([up[1], down[1]]), rcond=None)[0][2 * most + 1 :])
+    *amplitudes, levels = np.array(found).T
+    mean = from_scatter(float(levels.mean()), levels)
+    # Under ripple r the difference is friction/(1 + r), whose mean is larger than friction by the mean of r².
+    variance = 0.5 * sum(float(amplitude.mean()) ** 2 for amplitude in amplitudes)
+    return Interval(mean.value, mean.ci95 + (variance / abs(mean.value) if variance else 0.0))
 
 
 def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int, ...], float]:

@@ -135,6 +135,15 @@ def test_a_motor_that_only_cogs_has_no_ripple_worth_the_name() -> None:
     assert ripple.unseen < 5e-4
 
 
+@pytest.mark.parametrize("rig", [COGS, RIPPLES], ids=["cogging", "ripple"])
+@pytest.mark.parametrize("most", [MOST, 14])
+def test_the_interval_of_friction_holds_it_beside_ripple(rig: Cogging, most: int) -> None:
+    """Ripple of 4 % and a range of one and a half periods added 0.7 % to a value with an interval of 0.05 %."""
+    friction = fitted(rig, most).friction
+    assert friction.holds(0.5 * (UP + DOWN))
+    assert friction.ci95 < 0.004 * friction.value
+
+
 def test_interval_holds_the_truth_as_often_as_stated() -> None:
     """95 % intervals in white noise contain it within four standard deviations of the binomial count."""
     rng, runs = np.random.default_rng(3), [swept(RIPPLES, load=hung) for hung in (0.0, LOAD)]
