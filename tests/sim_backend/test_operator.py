@@ -224,12 +224,6 @@ def test_a_press_below_the_friction_level_moves_the_hand_and_not_the_handle(rig:
     assert rows[-1, plant.hand_position] - 0.1234 == pytest.approx(give, rel=1e-6)
 
 
-# Linear motion
-
-
-# Statics
-
-
 # The session
 
 

@@ -11,7 +11,7 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.core.clock_fit import ClockFit
-from rig.core.sample import ROW, Phase
+from rig.core.sample import ROW, Phase, RowFlag
 from rig.core.shown import Picture
 from rig.devices.framed import FramedDevice
 from rig.experiments.trials.replay import replay
@@ -109,6 +109,26 @@ def test_the_effort_of_the_wall_is_drawn_with_the_sign_of_what_is_sent(recording
     push = recording.experiment["trial"]["effort"]
     quantum = np.min(np.diff(np.unique(sent)))
     np.testing.assert_allclose(sent[pushed], push + wall.get_ydata()[pushed], atol=0.501 * quantum)
+
+
+def test_the_title_has_the_verdict_and_its_reason(recording: Any) -> None:
+    verdict = {"kind": "limit cycle", "reasons": ["heard"]}
+    judged = replace(recording, trailer={**recording.trailer, "verdict": verdict})
+    assert hit_figure(judged)._suptitle.get_text().startswith("koul-compliant: limit cycle: heard\n")
+    assert "not finished" in hit_figure(replace(recording, trailer=None))._suptitle.get_text()
+
+
+def test_saturation_and_gaps_are_marked(recording: Any, figure: Any) -> None:
+    flags = recording.rows["flags"].copy()
+    flags[-3000::100] |= int(RowFlag.SATURATED | RowFlag.GAP)
+    calm, marked = (
+        {drawn.get_label() for axes in one.axes for drawn in axes.lines}
+        for one in (figure, hit_figure(changed(recording, flags=flags)))
+    )
+    assert {one for one in marked - calm if one[0] != "_"} == {
+        f"at ±{recording.experiment['rig']['limits']['effort']:g}",
+        "gap in the samples",
+    }
 
 
 # ---------------------------------------------------------------------- recordings that are not whole
