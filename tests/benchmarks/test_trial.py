@@ -31,7 +31,6 @@ OPTIONS = ["-std=c99", "-O3", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
 MOST_TICKS = 60_000
 PAIRS = 15
 
-STEPS, REPEATS = 2000, 10  # ours several times in a row, to take about as long as MuJoCo's
 PLACES = {
     "RESOLUTION_SIGNED": estimator.RESOLUTION, "PERIOD": estimator.PERIOD,
     **{n: getattr(fdm_butterworth, n) for n in ("B0", "B1", "B2", "A1", "A2")},

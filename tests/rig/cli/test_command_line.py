@@ -72,7 +72,7 @@ def test_an_empty_value_of_any_option_is_an_error_that_names_it(capsys: Any) -> 
     assert json.loads(capsys.readouterr().out)["error"]["kind"] == "ConfigError"
 
 
-OPTIONAL = "distributed|mcap|moteus|mujoco|odrive|pandas|pylsl|sphinx|statsmodels|unicorn|websockets|xarray"
+OPTIONAL = "distributed|mcap|moteus|odrive|pandas|pylsl|sphinx|statsmodels|unicorn|websockets|xarray"
 
 
 def test_no_file_needs_an_optional_library_to_be_imported() -> None:
