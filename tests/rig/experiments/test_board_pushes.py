@@ -156,3 +156,4 @@ def test_a_handle_that_moves_or_that_a_person_moves_before_the_push_gets_none(
         pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
     assert not host.moved_as_described
     assert not any(current for _, current in device.log)
+    assert not (effort and device.log), "a handle that moves is not even armed"
