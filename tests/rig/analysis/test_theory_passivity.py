@@ -163,6 +163,11 @@ def test_each_bound_says_formula_source_and_meaning() -> None:
     assert bounds["Gil"].meaning == "approximate"
     assert all(b.formula and b.source for b in bounds.values())
     assert bounds["Abbott and Okamura"].meaning == "sufficient"
+    prompt = replace(KOUL, amplifier=replace(KOUL.amplifier, lag_s=0.0))
+    firsts = [theory.passivity_bound(rig, "dual:20k/2k").bounds[0] for rig in (IDEAL, prompt)]
+    assert [first.meaning for first in firsts] == ["exact", "sufficient"], (
+        "of two masses a bound is sufficient"
+    )
     damped = {b.name: b.stiffness for b in theory.passivity_bound("chawda-linear", "uniform:1k", 20.0).bounds}
     assert "Gil" not in damped
     assert "Abbott and Okamura" not in damped

@@ -129,6 +129,10 @@ def test_the_settings_of_the_experiment_are_those_of_its_own_estimator(tmp_path:
 def test_two_of_them_may_stand_in_one_file(tmp_path: Path) -> None:
     for name in ("foaw-end", "foaw-best", "levant", "fdm-butterworth-fixed"):
         export_estimator(Variant(name), rig_of(), tmp_path / f"{name}.h", costs=False)
+    text = "".join(path.read_text() for path in sorted(tmp_path.glob("*.h")))
+    assert {head.split()[0] for head in re.findall(r"^(\w.*)\n\{", text, re.M)} == {"static"}, (
+        "in two files, too"
+    )
     both = tmp_path / "both.c"
     includes = "".join(f'#include "{path.name}"\n' for path in sorted(tmp_path.glob("*.h")))
     both.write_text(f"{includes}int main(void)\n{{\n    return 0;\n}}\n")

@@ -264,6 +264,7 @@ def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: A
         run = excited_plant.excite(fresh, 0.0, np.zeros(1), 0.0, len(rows))
         assert (rows["count"] == run.counts).all()
         assert (rows["position_true"] == run.position).all()
+        assert (rows["velocity_true"] == run.velocity).all()
         assert np.ptp(run.counts) > 100
         played = bilateral.played(fresh.law.parameters, 1, 1e-3, len(rows))
         reaction = 10e3 * rows["penetration"] + 10.0 * rows["velocity"]

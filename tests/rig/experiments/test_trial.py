@@ -187,6 +187,14 @@ def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
         assert bench.run(name="second").reason == EndReason.FINISHED
 
 
+def test_an_exception_of_the_far_end_is_the_cause_of_a_lost_link(tmp_path: Path) -> None:
+    bug = Happening(tick=40, act=lambda device: device.current / 0)
+    with pytest.raises(errors.LinkLostError) as caught:
+        Bench(tmp_path, Faults(device=(bug,))).run()
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+    assert open_recording(caught.value.recording).trailer["reason"] == "link_closed"
+
+
 def test_the_error_of_a_run_outlasts_that_of_sealing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any, **__: Any) -> None:
         raise errors.RecordingError("no space left", remedy="free some space")
