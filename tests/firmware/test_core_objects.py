@@ -3,9 +3,7 @@
 import re
 import subprocess
 from collections import Counter
-from collections.abc import Callable
 from graphlib import TopologicalSorter
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +11,7 @@ from firmware_protocol.parameters import PARAMETERS
 from rig.firmware._toolchain import find_compiler
 from tests.conformance.tiers import first_by_default
 from tests.firmware import cross
-from tests.firmware.build import CORE, FIRMWARE, SOURCES, compiler, kept_objects
+from tests.firmware.build import CORE, SOURCES, compiler, kept_objects
 
 BOARDS = {
     "cortex-m0plus": ["-mcpu=cortex-m0plus", "-mthumb"],
@@ -28,9 +26,6 @@ CODE_LIMIT = 31 * 1024
 # estimator.
 LIBRARY = {"memcpy", "memset", "expm1", "sqrt", "ceil", "floor", "sqrtf"}
 CHANGEABLE = set("BbCDdGgSs")  # symbol types of nm(1)
-Graph = dict[str, set[str]]  # file without its ending → those that it needs
-INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
-GENERATED = {"board_config"}
 JUDGED = {"MOTION", "ENCODER_SIGN"}  # by their range, which is one value: a device takes no other
 
 
@@ -60,44 +55,20 @@ def test_it_builds_for_a_board_and_is_small(board: str) -> None:
     assert 0 < sizes["text"] < CODE_LIMIT
 
 
-# ---------------------------------------------------------------------- dependencies
-
-
-def includes() -> Graph:
-    files = [*FIRMWARE.rglob("*.c"), *FIRMWARE.rglob("*.h")]
-    graph: Graph = {}
-    for path in files:
-        needed = graph.setdefault(node_of(path), set())
-        for name in INCLUDE.findall(path.read_text(encoding="utf-8")):
-            beside = (path.parent / name).resolve()
-            found = [beside] if beside.exists() else [file for file in files if file.name == name]
-            assert len(found) == 1 or Path(name).stem in GENERATED, f"{path.name} includes {name}"
-            needed |= {node_of(file) for file in found} - {node_of(path)}
-    return graph
-
-
-def node_of(path: Path) -> str:
-    return str(path.relative_to(FIRMWARE).with_suffix(""))
-
-
-def calls() -> Graph:
+def test_no_file_calls_itself_around_others() -> None:
     defined: dict[str, str] = {}
     wanted: dict[str, set[str]] = {}
-    nodes = {str(built): node_of(source) for source, built in kept_objects(compiler(), SOURCES).items()}
-    listed = subprocess.run(["nm", "-A", *nodes], capture_output=True, text=True, check=True).stdout
+    files = {str(made): source.stem for source, made in kept_objects(compiler(), SOURCES).items()}
+    listed = subprocess.run(["nm", "-A", *files], capture_output=True, text=True, check=True).stdout
     for line in listed.splitlines():
-        node = nodes[line.partition(":")[0]]
+        file = files[line.partition(":")[0]]
         kind, symbol = line.split()[-2:]
         if kind == "U":
-            wanted.setdefault(node, set()).add(symbol)
+            wanted.setdefault(file, set()).add(symbol)
         elif kind.isupper():
-            defined[symbol] = node
-    return {node: {defined[name] for name in names if name in defined} for node, names in wanted.items()}
-
-
-@pytest.mark.parametrize("graph", [includes, calls])
-def test_no_file_includes_or_calls_itself_around_others(graph: Callable[[], Graph]) -> None:
-    TopologicalSorter(graph()).prepare()  # raises CycleError, which names the files
+            defined[symbol] = file
+    calls = {file: {defined[name] for name in names & defined.keys()} for file, names in wanted.items()}
+    TopologicalSorter(calls).prepare()  # raises CycleError, which names the files
 
 
 def test_the_firmware_reads_every_parameter_that_a_host_can_send() -> None:

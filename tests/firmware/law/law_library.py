@@ -22,19 +22,15 @@ i32, u32, i64, u64, f32 = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c
 i8, u8, i16, u16 = ct.c_int8, ct.c_uint8, ct.c_int16, ct.c_uint16
 
 
-def compile_law(output: Path, *options: str) -> Path:
-    sources = [str(path) for path in (*sorted(SOURCES.glob("*.c")), DRIVER)]
-    command = [compiler(), *STRICT, *options, f"-I{SOURCES}", "-o", str(output), *sources, "-lm"]
-    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=output.parent)
-    assert run.returncode == 0, run.stderr
-    return output
-
-
 def kept_law(name: str, *options: str) -> Path:
+    """Return the law with its driver, compiled now or in an earlier run."""
     read = content([*SOURCES.iterdir(), DRIVER])
 
     def make(output: Path) -> None:
-        compile_law(output / name, *options)
+        sources = [str(path) for path in (*sorted(SOURCES.glob("*.c")), DRIVER)]
+        command = [compiler(), *STRICT, *options, f"-I{SOURCES}", "-o", name, *sources, "-lm"]
+        run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=output)
+        assert run.returncode == 0, run.stderr
 
     return kept(f"law {name} {identity(compiler())} {STRICT} {options} {read}", make) / name
 

@@ -1,5 +1,6 @@
 """The table of device backends: valid and invalid URLs, third-party schemes, and device processes."""
 
+import operator
 import os
 import shlex
 import sys
@@ -19,6 +20,7 @@ from rig import config, devices
 from rig.config import presets
 from rig.core import plugins as core_plugins
 from rig.core.errors import ConfigError, DeviceNotFoundError
+from rig.core.process import start_announced
 from rig.devices import local
 from rig.devices.device import DeviceUrl
 from rig.experiments.hits._on_device import OnDevice, examined
@@ -206,6 +208,22 @@ def test_a_device_process_is_that_of_its_url_and_ends_with_its_context(
     assert process not in children()
     with pytest.raises(DeviceNotFoundError):
         rig.devices.open_device(url)
+
+
+class AsLoaded:
+    """A value that is computed in the process that unpickles it."""
+
+    def __init__(self, *asked: Any) -> None:
+        self.asked = asked
+
+    def __reduce__(self) -> Any:
+        return self.asked[0], self.asked[1:]
+
+
+def test_a_device_process_has_its_group_before_it_loads_its_arguments() -> None:
+    asked = (AsLoaded(os.getpid), AsLoaded(os.getpgid, 0))
+    with start_announced(operator.call, asked, name="asked", by_hand="no command") as (pid, group):
+        assert group == pid  # receives no Ctrl-C
 
 
 @pytest.fixture

@@ -23,6 +23,7 @@ from rig.devices._serial_options import DEFAULT_BAUD
 from rig.devices._serial_options import capacity as capacity_of
 from rig.devices.device import DeviceUrl
 from rig.devices.serial import SerialLink, open_link
+from rig.doctor._ports import serial_port
 
 SLACK_S = 5.0  # of a loaded machine: these tests say "bounded", not "quick"
 IFLAG, OFLAG, CFLAG, LFLAG, CC = 0, 1, 2, 3, 6
@@ -46,6 +47,17 @@ def serial_link(line: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
     made = request.param(DeviceUrl.parse(f"serial://{line.path}"))
     yield made
     made.close()
+
+
+def test_bytes_pass_both_ways_unchanged(line: Any, serial_link: Any) -> None:
+    every = bytes(range(256))
+    serial_link.write(every)
+    assert os.read(line.device, 1000) == every
+    os.write(line.device, every)
+    got = b""
+    while len(got) < len(every):
+        got += serial_link.read(SLACK_S)
+    assert got == every
 
 
 # ---------------------------------------------------------------------- opening
@@ -183,6 +195,14 @@ def test_the_rate_limits_a_uart_and_nothing_else(name: str, baud: int, capacity:
     alias = tmp_path / "by-id"
     alias.symlink_to(f"/dev/{name}")
     assert capacity_of(str(alias), baud) == capacity, "the port counts, not its alias"
+
+
+def test_a_listed_port_opens_by_its_url_whatever_its_name(line: Any, tmp_path: Path) -> None:
+    for name in ("usb-ACME_Rig#2", "usb-ACME_Rig?x=1", os.fsdecode(b"usb \xff\n")):
+        (tmp_path / name).symlink_to(line.path)
+        found = open_link(DeviceUrl.parse(serial_port(str(tmp_path / name))[0].url))
+        assert found.facts.device == line.path
+        found.close()
 
 
 # ---------------------------------------------------------------------- modem lines, low latency, exclusion
