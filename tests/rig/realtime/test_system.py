@@ -10,13 +10,21 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from rig.realtime.clock import MonotonicClock, VirtualClock
-from rig.realtime.system import descriptor_read, descriptor_wait, descriptor_write, monotonic_now, sleep_until
+from rig.realtime.system import (
+    descriptor_read,
+    descriptor_sync,
+    descriptor_wait,
+    descriptor_write,
+    monotonic_now,
+    sleep_until,
+)
 
 MILLISECOND = 1_000_000
 
@@ -185,6 +193,12 @@ def test_a_signal_shortens_neither_a_sleep_nor_a_wait() -> None:
         os.close(ours)
         os.close(theirs)
     assert caught
+
+
+def test_a_sync_that_fails_is_an_error_except_where_nothing_can_be_synced(tmp_path: Path) -> None:
+    with open(tmp_path / "file", "wb") as file, open("/dev/full", "wb") as device:
+        assert descriptor_sync(file.fileno()) == descriptor_sync(device.fileno()) == 0
+    assert descriptor_sync(-1) == errno.EBADF
 
 
 def test_virtual_time_moves_only_by_a_sleep_of_its_clock_and_never_backwards() -> None:

@@ -18,6 +18,7 @@ from rig.config import override
 from rig.core.check import Check, Outcome
 from rig.core.errors import ConfigError
 from rig.core.present import plain
+from rig.experiments.trials.plan import predict_impact
 from rig.session.engine._check import check
 from rig.session.engine._device_checks import device_checks
 from rig.session.engine._directory import LOG
@@ -29,6 +30,7 @@ from rig.session.planning._expected import ExpectedRange, expected_trials
 from rig.session.planning._load import as_mapping, load_protocol
 from rig.session.planning._plan import StudyPlan
 from rig.session.planning._protocol import Caps, Condition, Practice, Protocol, Rest, Search, Stop
+from rig.session.planning._schedule import levels_of
 from rig.session.planning._template_files import DEFAULT, template_names, write_template
 from rig.session.planning._times import QUESTION_S, heat_of, trial_times
 from tests.conformance.studies import Person, sitting, without_sync, write_study
@@ -171,6 +173,21 @@ def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Proto
     assert "21 of 21 walls" in refused.text
     assert "uniform 20 kHz, K = 100 N·m/rad" in refused.text
     assert not found.ok
+
+
+def test_the_worst_of_many_walls_is_reported(plan: StudyPlan, schemes: Protocol) -> None:
+    base = base_of(schemes, Path())
+    walls = [
+        Walls(schemes, base).at(condition, 0.2, level)
+        for condition in schemes.condition
+        for level in levels_of(schemes.search)
+    ]
+    limited = [x for x in walls if predict_impact(x).peak_effort > x.rig.limits.effort]
+    assert limited
+    assert walls[0] not in limited
+    effort = check_named(plan, "peak effort")
+    assert effort.outcome is Outcome.WARNING
+    assert f"for example uniform 20 kHz, K = {limited[0].wall.stiffness:g} N·m/rad" in effort.text
 
 
 def test_a_device_is_asked_for_its_rate_only_when_it_is_named(

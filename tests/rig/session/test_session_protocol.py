@@ -181,6 +181,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ({"condition.1.name": "Uniform"}, "is used more than once"),
         ({"condition.1.damping": []}, "a list of numbers in N·m·s/rad or N·s/m, at least one"),
         ({"condition.1.damping": [0.0, "x"]}, 'condition 2.damping = [0.0, "x"]'),
+        ({"condition.1.damping": [0.1, 0.1]}, "more than once"),
         ({"condition.1.damping": [0.1, -0.1]}, "must not contain a damping below 0"),
         ({"condition.0.scheme": "dual:20k"}, "sampling has two, for position and velocity"),
         (
@@ -215,6 +216,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ({"study.code": "[A-Z]{4}"}, "matches 'ANNA'"),
         ({"question": [{"name": "a b", "text": "?"}]}, "it names a column"),
         ({"question": [{"name": "a", "text": "?", "lowest": 7, "highest": 1}]}, "above lowest, 7"),
+        ({"question": [{"name": "a", "text": "?", "choices": ["x"]}]}, "is not used by a question"),
         ({"question": [{"name": "a", "text": "?", "kind": "choice"}]}, "two or more different answers"),
         (
             {"question": [{"name": "a", "text": "?", "kind": "choice", "choices": ["2", "1"]}]},
