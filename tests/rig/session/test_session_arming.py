@@ -24,11 +24,13 @@ from rig.session.engine._device_checks import device_checks
 from rig.session.engine._directory import LOG
 from rig.session.engine._hits import DeviceRunner
 from rig.session.engine._log import read
+from rig.session.engine._rehearsal import Person
 from rig.session.engine._run import resume_session, run_session
 from rig.session.engine._runner import RefusedWalls, SessionWall
 from rig.session.engine._telling import line_of_event, whole_line
 from rig.session.planning._conditions import Walls
 from rig.session.planning._schedule import levels_of
+from rig.session.terminal._seat import refuse_a_hand
 from tests.conformance.made_links import link
 from tests.conformance.tiers import first_by_default
 from tests.rig.session.session_fakes import SHORT_SEARCH, FakeRunner, ScriptedDesk, protocol_of, study
@@ -95,6 +97,17 @@ def test_a_blinded_operator_sees_how_many_walls_are_refused_and_none_of_them(tmp
     text = str(refused.value)
     assert "8 walls of 2 searches" in text
     assert not any(word in text for word in ("hidden", "0.211", "60", "120"))
+
+
+def test_no_simulated_person_and_no_simulated_hand_uses_a_real_rig(tmp_path: Path) -> None:
+    runner = RealRunner(arm_anyway=True)
+    run = partial(run_session, written(tmp_path), "P01", at(ScriptedDesk()), study=tmp_path / "study")
+    with pytest.raises(ConfigError, match="a rehearsal cannot use a real rig"):
+        run(runner=runner, person=Person(thresholds={}))
+    with pytest.raises(ConfigError, match="needs a simulated rig"):
+        refuse_a_hand("keyboard", runner)
+    assert runner.hits == []
+    assert not (tmp_path / "study").exists()
 
 
 def test_a_session_is_resumed_with_consent_too_or_not_at_all(tmp_path: Path) -> None:
