@@ -13,7 +13,7 @@ from firmware_protocol.faults import Fault, Status
 from firmware_protocol.framing import decode_frame, encode_frame
 from firmware_protocol.messages import STOP_FRAMES
 from firmware_protocol.packing import pack, type_id_of, unpack
-from firmware_protocol.parameters import BY_NAME, block_crc
+from firmware_protocol.parameters import BY_NAME, block_crc, encode_block
 from firmware_protocol.transaction import MOST_TRIES, RETRY_AFTER_S
 from rig.core.errors import DeviceRefusedError, IncompatibleDeviceError, LinkLostError
 from rig.devices import framed
@@ -248,19 +248,33 @@ def test_a_fault_log_or_a_parameter_block_that_makes_no_sense_is_an_incompatible
     wire.link = Answering(lambda request: frame_of(m.FaultLog(request.nonce, 1, 0, 0, 5, 0, b"123")))
     with pytest.raises(IncompatibleDeviceError, match="sends invalid data"):
         device.fault_report()
-    wire.link = Answering(strange_block)
-    with pytest.raises(IncompatibleDeviceError, match="sends invalid data"):
+    answer_with(wire, device, b"\xff\xff\xff")
+    with pytest.raises(IncompatibleDeviceError, match="parameter"):
         device.configure(RUN_PARAMETERS)
 
 
-def strange_block(request: Any) -> Any:
-    block = b"\xff\xff\xff"
-    if isinstance(request, m.GetParameters):
-        return frame_of(m.Parameters(request.nonce, len(block), 0x1234, 0, block))
-    if isinstance(request, m.Identify):
-        return frame_of(m.Identity(request.nonce, 0, State.CONFIGURED, 7, 1, 0, b"x"))
-    detail = getattr(request, "offset", 0)
-    return frame_of(m.Ack(request.nonce, type_id_of(type(request)), 0, detail, 0, block_crc(block)))
+def test_parameters_that_are_not_those_of_the_acknowledged_checksum_are_refused() -> None:
+    _, wire, device = configured()
+    answer_with(wire, device, encode_block(RUN_PARAMETERS), crc=1)
+    with pytest.raises(DeviceRefusedError, match="differ from those that were sent"):
+        device.configure(RUN_PARAMETERS)
+
+
+def answer_with(wire: Any, device: FramedDevice, block: bytes, crc: int | None = None) -> None:
+    """Replace the device by one whose active parameters are `block`; it acknowledges `crc`, by default the block's."""
+
+    def reply(request: Any) -> bytes:
+        if isinstance(request, m.GetParameters):
+            chunk = block[request.offset : request.offset + 40]
+            return frame_of(m.Parameters(request.nonce, len(block), block_crc(block), request.offset, chunk))
+        if isinstance(request, m.Identify):
+            return frame_of(m.Identity(request.nonce, 0, State.CONFIGURED, known, 1, 0, b"x"))
+        detail = getattr(request, "offset", 0)
+        acknowledged = block_crc(block) if crc is None else crc
+        return frame_of(m.Ack(request.nonce, type_id_of(type(request)), 0, detail, 0, acknowledged))
+
+    known = device.dictionary_hash
+    wire.link = Answering(reply)
 
 
 # ---------------------------------------------------------------------- refusals
