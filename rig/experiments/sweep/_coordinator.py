@@ -182,6 +182,9 @@ class Coordinator:
                 self._work(signals, series)
             except KeyboardInterrupt as error:
                 self.interruption = self.interruption or error
+        # A signal during the last progress report was stored after the last look at the stored signals.
+        if signals or series.is_stopped:
+            self.interruption = self.interruption or KeyboardInterrupt()
 
     def _work(self, signals: list[int], series: RunSeries) -> None:
         while self._running or (self._queue and not self._stopping):

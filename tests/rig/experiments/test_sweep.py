@@ -263,6 +263,12 @@ def interrupt_at(done: Any) -> Any:
     return watch
 
 
+@pytest.mark.signals
+def test_ctrl_c_after_the_last_task_is_reported_too() -> None:
+    with pytest.raises(SweepStoppedError, match="3 of 3 tasks are done"):
+        sweep.run(sines_of(3), workers=1, watch=interrupt_at(3))
+
+
 @pytest.mark.parametrize("kept", ["in memory", "in a journal"])
 @pytest.mark.signals
 def test_ctrl_c_keeps_finished_and_running_tasks_and_a_command_resumes(kept: str, tmp_path: Path) -> None:

@@ -183,6 +183,31 @@ def test_a_person_agrees_to_each_hit_of_a_map(
     assert bench.at_rest
 
 
+def test_without_a_persons_consent_no_torque_pulse_moves_the_rig(
+    bench: Bench, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or "q")
+    suite.makepyfile(
+        """
+        def test_it(rig_hit):
+            person = {"trial.kind": "human", "rig.limits.human": True, "rig.limits.effort": 0.28,
+                      "rig.limits.override_stall": True, "operator.press": 1.0, "wall.stiffness": 60.0,
+                      "wall.damping": 0.1, "controller.position_rate": 2000, "controller.velocity_rate": 2000,
+                      "verdict.lowpass_hz": 400.0}
+            rig_hit(None, person)
+
+        def test_of_the_next(rig_hit): raise AssertionError
+        """
+    )
+    result = suite.runpytest_inprocess(*TYPED)
+    assert (result.ret, len(asked)) == (130, 1)
+    result.stdout.fnmatch_lines(["*Exit: the operator did not agree to the torque pulse*"])
+    result.assert_outcomes()
+    assert bench.at_rest
+    assert not bench.device.truth()["effort_true"].any()
+
+
 @pytest.fixture(scope="module")
 def served() -> Iterator[SerialRig]:
     @contextmanager
