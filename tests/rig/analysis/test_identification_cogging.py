@@ -66,6 +66,7 @@ def test_true_harmonics_and_no_others_come_out_within_the_interval(harmonics: An
     )
     found = fitted(true)
     assert set(found.orders) >= {n for n, (a, _) in harmonics.items() if a > found.unseen}
+    assert found.unseen < 1e-3
     at = np.linspace(found.minimum, found.maximum, 500)
     spread = 3.0 * found.ci95 + 0.5 * EFFORT_QUANTUM
     assert np.abs(found.cogging.effort(at) - true.effort(at)).max() <= spread

@@ -44,6 +44,17 @@ def test_rows_are_the_numbers_of_the_verdict_in_si_units(result: HitResult) -> N
     assert rows["verdict"].value is verdict.kind is Kind.STABLE
 
 
+def test_every_threshold_stands_beside_its_number_and_the_truth(result: HitResult) -> None:
+    thresholds, rows = verdict_thresholds(result.experiment), rows_of(result)
+    limits = {"felt": thresholds.felt_velocity, "heard": thresholds.heard_effort, "moved": thresholds.moved}
+    for label, row in rows.items():
+        if (name := label.partition(" ")[0]) in limits:
+            assert f"limit {limits.pop(name):.3g}, " in row.note
+            assert "true " in row.note
+    assert not limits
+    assert rows["peak effort"].note == f"limit {result.experiment.rig.limits.effort:g}"
+
+
 def test_a_handle_that_never_settles_has_no_resting_penetration(result: HitResult) -> None:
     judgement = result.recorded.judgement
     never = replace(judgement, verdict=replace(judgement.verdict, settling_s=None))
