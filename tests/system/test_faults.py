@@ -40,6 +40,7 @@ from sim_backend.board.firmware import FirmwareDevice
 from tests.conformance.firmware import need_compiler
 from tests.conformance.struck import InMemory, StruckTrial
 from tests.conformance.tiers import first_by_default
+from tests.conformance.trials import trial_on
 
 LIFETIME_S = 0.005  # of a command: five ticks at 1 kHz
 RAMP_S = 0.010
@@ -273,16 +274,22 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path)
     assert trial.rows["phase"][-1] == Phase.TRIAL
 
 
-def test_an_exception_of_the_caller_ends_the_run_with_zero(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "error", [ZeroDivisionError, SystemExit]
+)  # the second leaves the wait for the loop at once
+def test_an_exception_of_the_caller_ends_the_run_with_zero(
+    error: type[BaseException], tmp_path: Path
+) -> None:
     def break_down(ticks: Any, phase: Any) -> None:
         if ticks > 100:
-            raise ZeroDivisionError("a bug in a progress bar")
+            raise error
 
-    bench = Bench(**{"trial.duration_s": 60.0})
-    with pytest.raises(ZeroDivisionError):
-        bench.run(tmp_path, progress=break_down)
-    assert bench.device.current == 0
-    assert open_recording(tmp_path / "trial.rigcap").rows["phase"][-1] == Phase.TRIAL
+    bench, path = Bench(**{"trial.duration_s": 60.0}), tmp_path / "trial.rigcap"
+    with bench.open() as device:
+        with pytest.raises(error):
+            trial_on(device, bench.experiment, path, progress=break_down, sealed=False)
+        assert bench.device.current == 0, "before the device is closed"
+    assert open_recording(path).rows["phase"][-1] == Phase.TRIAL
 
 
 # ---------------------------------------------------------------------- silence of the host

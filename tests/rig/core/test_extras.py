@@ -144,7 +144,7 @@ def test_a_scheduler_is_refused_without_its_extra_or_a_target_that_loads(install
 # ---------------------------------------------------------------------- commands, each in a process of its own
 
 
-def run(rooms: Path, *words: str, before: str = "") -> subprocess.CompletedProcess[str]:
+def run(rooms: Path, *words: str | Path, before: str = "") -> subprocess.CompletedProcess[str]:
     """Run ``rig`` with the extras of another tree."""
     other = f"from rig.core import extras; extras.ROOMS = {str(rooms)!r}"
     code = f"{other}\n{before}\nfrom rig.__main__ import main; main()"
@@ -162,6 +162,16 @@ def test_help_works_beside_broken_extras_and_names_them(install: Install, tmp_pa
     refused = run(tmp_path, "serve", "lsl")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "of the extra lsl" in refused.stderr
+
+
+@pytest.mark.exhaustive("tests/test_house.py::test_no_way_around_the_contracts_by_string")
+def test_the_core_hits_where_no_extra_can_be_imported(tmp_path: Path) -> None:
+    hidden = f"import os, sys; sys.modules['rig.extras'] = None; os.chdir({str(tmp_path)!r})"
+    hit = run(tmp_path, "hit", "--json", "--no-plot", before=hidden)
+    assert hit.returncode == 0, hit.stderr
+    (recording,) = tmp_path.glob("recordings/*.parquet")
+    replay = run(tmp_path, "recording", "replay", recording, before=hidden)
+    assert replay.returncode == 0, replay.stderr
 
 
 def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:
