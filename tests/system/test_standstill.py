@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from firmware_protocol.messages import OLDEST_EDGE
 from rig import config
 from rig.config import Experiment, controller, presets
-from rig.control._watch import UNMOVED_SPEED
 from rig.control.step import step
 from rig.core.board import moved_mechanics
 from rig.core.model import RigModel
@@ -22,6 +21,9 @@ from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.system.test_dead_encoder import DEAD
 
 Count = Callable[[int], int]
+SHARE = (
+    0.5  # of the speed limit, at which a dead encoder is detected; as in firmware_protocol/firmware/fmea.toml
+)
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def assert_bounded(x: Experiment, ran: TrialEnd, dies: int) -> None:
     m, limits = moved_mechanics(config.rig_model(x)), x.rig.limits
     effort = max(x.homing.effort, abs(x.trial.effort))
     late_s = 3.0 / x.controller.position_rate + m.lag_s
-    share = UNMOVED_SPEED * limits.speed
+    share = SHARE * limits.speed
     bound = share + max(share, ran.speeds[min(dies, len(ran.speeds) - 1)]) + effort * late_s / m.inertia
     assert ran.speeds[dies:].max(initial=0.0) <= bound
     assert ran.current == 0
@@ -119,6 +121,18 @@ def test_with_an_encoder_that_dies_the_handle_of_any_rig_stays_slow(
     ran = run(x, at=away(x, 0.5), dies=dies, dead=DEAD[dead])
     assume(not ran.inside)
     assert_bounded(x, ran, dies)
+
+
+@pytest.mark.parametrize("name", ["chawda-linear", "koul-compliant", "koul-rigid"])
+def test_a_dead_encoder_is_detected_as_a_handle_without_friction_reaches_half_of_its_speed_limit(
+    name: str,
+) -> None:
+    losses = ("motor_damping", "link_damping", "motor_coulomb", "link_coulomb")
+    without = {f"rig.mechanics.{loss}": 0.0 for loss in losses}
+    x = config.override(presets.load(name), without | {"trial.minimum_rest_counts": 0.0})
+    ran = run(x, at=away(x, 1.0), dies=0)
+    assert RowFlag.UNMOVED in ran.flags
+    assert ran.speeds.max() == pytest.approx(SHARE * x.rig.limits.speed, rel=0.02)
 
 
 @pytest.mark.parametrize("name", presets.names())
