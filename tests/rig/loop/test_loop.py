@@ -694,6 +694,27 @@ def test_clocks_are_compared_on_the_way_with_four_stamps() -> None:
     assert end.counters["other_frames"] == 0
 
 
+@kernel(LAW_SIGNATURE)
+def takes_2_us(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
+    now = np.int64(parameters[0])  # the address of a virtual clock
+    write_word(now, load_word(now) + 2_000)
+    return 0.0
+
+
+def test_a_row_has_the_times_of_receiving_computing_and_sending() -> None:
+    class Slow(Script):
+        def _write(self, data: bytes) -> int:
+            self.clock.sleep_until(self.clock.now_ns() + 3_000)
+            return super()._write(data)
+
+    link = Slow(*ticks(1, 5))
+    law = Law("slow", "for this test", takes_2_us, 2, lambda wall: [float(link.clock.handle)])
+    rows = rows_of(ran(link, at_rest(law))[0])[1:]  # the first tick computes no law
+    assert rows["received_at"].tolist() == [2 * PERIOD_NS, 3 * PERIOD_NS, 4 * PERIOD_NS]
+    assert (rows["computed_at"] - rows["received_at"]).tolist() == [2_000] * 3
+    assert (rows["sent_at"] - rows["computed_at"]).tolist() == [3_000] * 3
+
+
 def test_an_answer_that_comes_too_late_or_twice_is_no_exchange() -> None:
     link = Answering(*ticks(1, 60))
     link.delay_ns = 15 * PERIOD_NS
