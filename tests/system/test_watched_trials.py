@@ -77,7 +77,9 @@ def test_the_push_of_a_motor_is_watched_where_that_is_set(rig_hit: Hits) -> None
     assert_stable(rig_hit(motor))
     with pytest.raises(PlanError, match=r"energy: the push gives up to"):
         rig_hit(motor, {"rig.limits.energy": 1e-3})
-    assert_stable(rig_hit(motor, {"rig.limits.energy": 0.02, "rig.limits.oscillations": 10}))
+    watches = {"rig.limits.energy": 0.02, "rig.limits.oscillations": 10}
+    assert {"energy", "violence"} <= {check.name for check in make_plan(override(motor, watches)).checks}
+    assert_stable(rig_hit(motor, watches))
 
 
 @pytest.mark.parametrize("grip", ["relaxed", "firm"])

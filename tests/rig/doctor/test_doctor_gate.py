@@ -18,7 +18,7 @@ from rig.core.check import Outcome
 from rig.core.errors import PlanError
 from rig.core.present import plain
 from rig.doctor import gate as gates
-from rig.doctor._walls import dampings_of, supported_walls
+from rig.doctor._walls import candidate_rates, dampings_of, supported_walls
 from rig.doctor.gate import LIFETIME_SHARE, check_armable, gate
 from rig.doctor.late_loops import LARGEST_DELAY, LateLoops, hands_of, late_by
 from rig.experiments.hits.hit import in_effect
@@ -302,6 +302,25 @@ def test_the_table_has_the_limits_of_theory_for_each_scheme_with_its_delay() -> 
             limit = theory.k_max(late, row.scheme, largest.damping, operator=hand)
             assert largest.by_hand[hand] == pytest.approx(limit.stiffness)
         assert json.loads(json.dumps(plain(row)))["k_max"][0]["by_hand"].keys() == row.k_max[0].by_hand.keys()
+
+
+def test_no_rate_is_proposed_that_the_link_cannot_carry() -> None:
+    rates = candidate_rates(CALM, link(30e-6, capacity=92_160.0), 4000)
+    assert [(rate.hertz, rate.because) for rate in rates] == [
+        (1000, "the experiment's"),
+        (1200, "the link's capacity"),
+    ]
+
+
+def test_a_dual_rate_experiment_keeps_its_ratio() -> None:
+    quarter = config.override(CALM, {"controller.velocity_rate": 250, "verdict.lowpass_hz": 100.0})
+    rows = supported_walls(quarter, link(30e-6), 1000)
+    assert [(row.position_rate, row.velocity_rate) for row in rows] == [(1000, 1000), (1000, 250)]
+
+
+def test_limits_of_another_estimator_that_stands_in_say_so() -> None:
+    levant = config.override(CALM, {"controller.estimator": "levant"})
+    assert all("levant" in row.reason for row in supported_walls(levant, link(30e-6), 1000))
 
 
 def test_the_way_to_a_drive_behind_a_bridge_is_delay_too() -> None:

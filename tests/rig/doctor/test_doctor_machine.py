@@ -169,6 +169,7 @@ def clocks(current: str, available: str) -> dict[str, str]:
         (limits.swap, {"proc/swaps": SWAPS}, OTHERS, WARNING, "22 MiB", "sudo swapoff -a"),
         (limits.real_time_share, {RT_SHARE: "950000"}, {}, OK, "95% of each 1 s", ""),
         (limits.real_time_share, {RT_SHARE: "-1"}, {}, WARNING, "", "sched_rt_runtime_us"),
+        (limits.real_time_share, {RT_SHARE: "0"}, {}, WARNING, "may not run at all", "sched_rt_runtime_us"),
         (kernel.timer, {"proc/timer_list": "  .resolution: 1 nsecs\n"}, {}, OK, "", ""),
         (kernel.timer, {"proc/timer_list": "  .resolution: 4000000 nsecs\n"}, {}, REFUSED, "4 ms", ""),
         (kernel.clock, clocks("tsc", "tsc hpet acpi_pm"), {}, OK, "", ""),
