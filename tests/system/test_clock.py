@@ -1,6 +1,7 @@
 """Device clocks that drift: the clock fit and the times in a recording agree with the simulated clock."""
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -111,3 +112,9 @@ def test_a_recording_without_rows_or_clock_is_refused(run: Any, sealed: Any, tmp
     for path, words in ((empty, "no rows"), (broken, "clock")):
         code, _, err = run("recording", "timing", path)
         assert (code, words in err) == (9, True)
+
+
+def test_device_show_fits_the_clocks(run: Any) -> None:
+    clock = json.loads(run("device", "show", "sim://koul-compliant?clock_ppm=50", "--json")[1])["clock"]
+    assert clock["drift_ppm"] == pytest.approx(-50.0, abs=3 * clock["drift_sd_ppm"])
+    assert clock["drift_sd_ppm"] < 5.0

@@ -14,7 +14,8 @@ SCRIPT = """
 import { describeRegions } from "%s";
 const shown = (passive) =>
   describeRegions({ passive, stable: 5, hand: "no hand" }, 3, "N/m", true);
-console.log(JSON.stringify([null, 0, 2, 4].map((passive) => shown(passive).text)));
+const both = (passive) => [shown(passive).text, shown(passive).bands.map(([, , colour]) => colour).join(" ")];
+console.log(JSON.stringify([null, 0, 2, 4].map(both)));
 """
 
 
@@ -33,9 +34,10 @@ def test_a_page_shows_a_wall_as_passive_only_where_theory_does() -> None:
     command = ["node", "--input-type=module", "--eval", SCRIPT % (PAGE / "wall.js").as_uri()]
     shown = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     limit = "stable up to 5 N/m, no hand)"
-    assert shown == [
+    assert [text for text, _ in shown] == [
         f"stable (passivity not computed, {limit}",
         f"stable, not passive (no wall is passive, {limit}",
         f"stable, not passive (passive up to 2, {limit}",
         f"passive (passive up to 4, {limit}",
     ]
+    assert [colours for _, colours in shown] == ["invalid unstable", *["stable limit-cycle unstable"] * 3]

@@ -500,6 +500,18 @@ async def test_no_page_chooses_a_program(do: str, tmp_path: Path, monkeypatch: p
         assert "wall.law cannot be changed from a page" in answer["error"]["error"]
 
 
+async def test_a_page_receives_the_limits_at_the_delay_of_its_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Errands, "run", Here.run)
+    async with served(tmp_path) as console, console.page() as page:
+        near, far = [
+            (await page.ask("regions", damping=0.2, delay_ticks=ticks))["result"]["stable"]
+            for ticks in (1, 4)
+        ]
+    assert near > far > 0.0, "delay takes stiffness away"
+
+
 async def test_a_blinded_session_of_another_terminal_shows_nothing_and_is_stopped(tmp_path: Path) -> None:
     async with looking(tmp_path, info={**INFO, "blinded": True}) as (loop, _, page):
         loop.leave(50)
