@@ -1,4 +1,4 @@
-"""Attack every interface that untrusted input can reach, with cases drawn from a seed, for minutes or hours.
+"""Attack the commands with arbitrary options and files, and a host with devices that report wrong data, from a seed.
 
     python -m tests.attack                                   a minute of each area
     python -m tests.attack --minutes 480 --seed 7            a night

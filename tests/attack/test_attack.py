@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.attack.__main__ import attack
-from tests.attack.area import AreaReport
+from tests.attack.area import AreaReport, Outcome, chance_of
 from tests.attack.worker import answer, area_of
 
 SEED = 1
@@ -28,3 +28,22 @@ def test_a_little_of_the_options_in_a_process_of_its_own_finds_nothing() -> None
     attack("options", SEED, report, range(17, 32), float("inf"))
     assert not report.failures
     assert report.figures["runs"] == 15
+
+
+class Broken:
+    """An area whose second case fails."""
+
+    def attack(self, case: int, chance: object) -> Outcome:
+        if case == 1:
+            raise ZeroDivisionError("here")
+        return Outcome()
+
+
+def test_a_failure_is_reported_with_what_repeats_it() -> None:
+    report = AreaReport()
+    for case in range(3):
+        report.add(answer(Broken(), "liars", SEED, case))
+    assert report.failures == {1: "ZeroDivisionError: here"}
+    assert any("--only liars --seed 1 --case 1" in line for line in report.lines("liars", SEED))
+    first, again, other = (chance_of(SEED, "liars", case).random() for case in (5, 5, 6))
+    assert first == again != other

@@ -44,9 +44,8 @@ class FarEnd(ABC):
     def __init__(self, link: Link) -> None:
         self.host = Host(link)
         self.strikes: dict[str, Callable[[], object]] = {}  # fault of `FOUND` → what causes it here
-        self.repairs: dict[
-            str, Callable[[], object]
-        ] = {}  # what ends its cause, if that does not end by itself
+        # Fault → what ends its cause, if that does not end by itself.
+        self.repairs: dict[str, Callable[[], object]] = {}
         self.received: list[m.Message] = []  # while time passed
         self.session = 0
         self._sent = 0

@@ -274,9 +274,8 @@ def test_ctrl_c_stops_within_a_tick_and_leaves_a_whole_recording(tmp_path: Path)
     assert trial.rows["phase"][-1] == Phase.TRIAL
 
 
-@pytest.mark.parametrize(
-    "error", [ZeroDivisionError, SystemExit]
-)  # the second leaves the wait for the loop at once
+# The second is no `Exception`: it leaves the wait for the loop at once.
+@pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
 def test_an_exception_of_the_caller_ends_the_run_with_zero(
     error: type[BaseException], tmp_path: Path
 ) -> None:
