@@ -30,6 +30,7 @@ from rig.extras.papers.disagreement.ablation import (
     without,
 )
 from rig.extras.papers.disagreement.disagreement import DisagreementPlan, edges_of
+from rig.extras.papers.disagreement.report import paragraph
 from rig.testing import reactions
 
 
@@ -133,6 +134,22 @@ def test_shares_are_areas_of_cells_that_fill_the_plane(experiment: Any) -> None:
     assert shares.differ.causes == pytest.approx({EACH: each, QUANTUM: quantum})
     assert list(shares.sets) == ["friction; contact"]
     assert found.brief()[1].value == "90.8 % of the plane: each of several 52.3 %, quantum 47.7 %"
+
+
+def test_the_paragraph_has_the_shares_and_causes_of_each_scheme(experiment: Any) -> None:
+    alike = {"radius": 1.1, "holds_without": True, "hits": 1, "ticks": 1}
+    column: list[Any] = [
+        {**alike, "stiffness": 10.0, "holds": True, "cures": [["friction"]]},
+        {**alike, "stiffness": 30.0, "holds": True, "cures": [["friction"]]},
+        {**alike, "stiffness": 90.0, "holds": False, "cures": None},
+    ]
+    found = plan_of(experiment, "dual:20k/2k", (0.0, 1.0)).found([column] * 2)
+    shares, text = found.shares(0), paragraph(found)
+    assert 0.0 < shares.differ.share < 1.0 == shares.beyond.share
+    assert f"200 Hz: theory and hits differ in {100 * shares.differ.share:.1f} % of the K–B plane." in text
+    assert "Of the area that is stable in hits 100 % is unstable in theory (100 % friction)." in text
+    assert "Quantum, saturation and contact alone are the cause of none." in text
+    assert "Of the area that is stable by theory" not in text
 
 
 def test_cells_end_half_way_to_their_neighbours() -> None:

@@ -1,6 +1,7 @@
 """Reproductions: text comes from templates and numbers from results; a page is complete, self-contained and safe."""
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,6 +23,7 @@ from rig.extras.papers.parts import Part, Parts
 from rig.extras.papers.reproduction import Paper, Reproduction, draw_into, render, write_report
 from rig.extras.papers.rules import ClaimStatus, Ruling
 from rig.views.report import _template as template
+from rig.views.report import _writing as writing
 from tests.conformance.pages import ParsedPage
 from tests.conformance.sweep_work import raise_as_given
 
@@ -152,6 +154,14 @@ def test_no_number_in_the_words_of_a_template_is_a_result(name: str) -> None:
         if re.search(r"\d", words) and not KEY.fullmatch(text):
             found.append((line, words.strip()))
     assert found == []
+
+
+def test_numbers_have_three_digits_and_what_is_no_number_a_sign() -> None:
+    values = (0.0, 9.996, 560.4, 0.04567, None, math.nan, math.inf)
+    assert [writing.three(value) for value in values] == ["0", "10.00", "560", "0.0457", "–", "–", "∞"]
+    assert (writing.limit(560.4, True), writing.limit(560.4, False)) == ("≥ 560", "560"), (
+        "a search that ended"
+    )
 
 
 # --- pages -----------------------------------------------------------------------------------------------------------

@@ -74,6 +74,15 @@ def marked(axes: Any) -> list[Any]:
     return [line for line in axes.lines if line.get_marker() == "o" and len(line.get_xdata())]
 
 
+def test_every_measured_limit_is_marked_at_its_damping() -> None:
+    found = a_map()
+    for axes, criterion in zip(zwidth_figure(found).axes, ("felt", "heard"), strict=True):
+        for number, line in enumerate(marked(axes)):
+            limits = [boundary.stiffness for boundary in found.curve(number, criterion)]
+            assert (list(line.get_xdata()), list(line.get_ydata())) == (list(FIVE), limits)
+        assert len(marked(axes)) == len(SCHEMES)
+
+
 def test_the_legend_names_the_marks_in_the_picture_and_no_others() -> None:
     plain = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0)])))
     assert len(plain) == len(SCHEMES)
