@@ -196,7 +196,7 @@ SMALL: dict[str, Any] = {
 }
 
 
-def test_a_small_ranking_with_an_entry_resumes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_ranking_resumes_from_its_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rule, "OFFSETS", (0.6,))
     whole = measure.measure_rig("chawda-linear", directory=tmp_path, **SMALL)
     assert list(whole["conditions"]) == [*(pair.name for pair in PAIRS), ENTRY.estimator]

@@ -89,6 +89,17 @@ def test_the_prediction_in_closed_form() -> None:
     assert impact.peak_penetration == pytest.approx(deepest)
 
 
+def test_the_prediction_of_a_hand_includes_its_finger_pads() -> None:
+    held = change({"trial.kind": "human", "operator.pads_mass": 0.04})
+    impacts = [predict_impact(one) for one in (held, config.override(held, {"operator.pads_mass": 0.0}))]
+    rest = config.push_at_rest(held) / held.wall.stiffness
+    with_pads, without = ((one.peak_penetration - rest) ** 2 - rest**2 for one in impacts)
+    mechanics = config.rig_model(held).mechanics
+    pads = 0.04 * mechanics.handle_radius**2
+    assert with_pads / without == pytest.approx(1.0 + pads / mechanics.inertia)
+    assert impacts[0].velocity == impacts[1].velocity > 0.0
+
+
 def test_a_push_from_the_other_side_is_predicted_alike() -> None:
     trial = COMPLIANT.trial
     mirrored = change({"wall.side": -1, "trial.effort": -trial.effort, "trial.start": -trial.start})

@@ -432,7 +432,7 @@ def test_a_hit_beyond_a_limit_is_refused_before_a_directory_is_made(tmp_path: Pa
     assert files(tmp_path) == []
 
 
-def test_a_consumer_that_stops_early_closes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_consumer_that_stops_closes_the_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = []
     original = rig.devices.open_device
 
