@@ -65,8 +65,12 @@ PAGE = """{% extends "extras/papers/page.html.j2" %}
 
 @pytest.fixture
 def templates(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Two templates of a made-up paper, beside the real ones."""
-    made_up = {"extras/papers/made-up/claims.j2": CLAIMS, "extras/papers/made-up/page.html.j2": PAGE}
+    """Three templates of a made-up paper, beside the real ones."""
+    made_up = {
+        "extras/papers/made-up/claims.j2": CLAIMS,
+        "extras/papers/made-up/page.html.j2": PAGE,
+        "extras/papers/made-up/blank.j2": "The ratio is {{ ratio }}.",
+    }
     real = template._text
     template._environment.cache_clear()
     monkeypatch.setattr(template, "_text", lambda name: made_up.get(name) or real(name))
@@ -108,6 +112,12 @@ def test_a_claim_has_the_words_of_its_template_and_the_verdict_of_its_rule(templ
         "follows from the method", "undecided", "not reproduced",
     ]  # fmt: skip
     assert (claims[0].ours, claims[0].claim) == ("1.50", f"claim c0 {NASTY}")
+
+
+def test_a_missing_value_is_an_error_and_no_blank(templates: None) -> None:
+    assert template.fill_text("extras/papers/made-up/blank.j2", ratio=2) == "The ratio is 2."
+    with pytest.raises(UndefinedError, match="ratio"):
+        template.fill_text("extras/papers/made-up/blank.j2")
 
 
 def test_a_ruling_without_words_and_words_without_a_number_are_errors(templates: None) -> None:
