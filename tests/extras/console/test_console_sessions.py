@@ -1,8 +1,10 @@
 """The sessions' view of the console: which page's keys count, what each page shows, and what the live view hides."""
 
 import asyncio
+import inspect
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -27,11 +29,12 @@ from rig.realtime import control_words
 from rig.realtime.control_words import STOP
 from rig.realtime.hand import SharedHand
 from rig.realtime.ring import Ring
+from rig.session.engine import _conduct
 from rig.session.engine._desk import DeskView, Question, Reply
 from rig.session.engine._place import Place
 from rig.session.planning._protocol import Keys
 from rig.session.planning._template_files import template_names, write_template
-from rig.session.terminal._participant import instruct
+from rig.session.terminal._participant import INSTRUCTIONS, instruct
 from tests.conformance.terminal import PATIENCE_S
 from tests.extras.console.console_fakes import CONTENT
 from tests.rig.session.session_desks import AtPage, FakeClient, until
@@ -166,6 +169,18 @@ def test_a_participant_sees_no_wall_and_no_trouble_of_an_unblinded_operator(page
     assert not {"25.5", "dual", "secret"} & set(json.dumps(message).replace('"', " ").split())
     assert instruct(DeskView(state="go", say="Push.")) == ("Go", "Push.")
     assert instruct(DeskView(state="a new one", say="invalid: K = 25.5")) == ("Please wait", "")
+
+
+def test_a_participant_reads_an_instruction_in_each_state_and_no_word_of_the_operators() -> None:
+    states = set(re.findall(r'self\._show\(\s*"([^"]+)"', inspect.getsource(_conduct)))
+    assert set(INSTRUCTIONS) == {"starting", *states, *_conduct._PHASES.values()}
+    for state in INSTRUCTIONS:
+        words = set(" ".join(instruct(DeskView(state=state, say="Push."))).lower().split())
+        assert not words & {"homing", "release", "verdict", "trouble"}, state
+    assert instruct(DeskView(state="ready", say="Push.")) == (
+        "Get ready",
+        "Push. Do not move yet: wait for Go.",
+    )
 
 
 def test_pages_are_blind_until_a_view_says_otherwise(page: AtPage) -> None:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from rig.config import (
     Experiment,
+    VerdictLimits,
     as_mapping,
     check_plugins,
     describe,
@@ -524,6 +525,16 @@ def test_thresholds_at_the_handle_become_thresholds_at_the_link() -> None:
     assert (limits.felt_velocity, limits.heard_effort, limits.moved) == pytest.approx((0.05, 0.10, 1.25e-3))
     linear = verdict_thresholds(CHAWDA)
     assert (linear.felt_velocity, linear.heard_effort, linear.moved) == (0.002, 1.0, 1.25e-4)
+
+
+def test_a_hit_is_judged_by_the_documented_numbers() -> None:
+    """They are those of rig/docs/explanation/verdicts.md and of the reproduction study."""
+    known = {
+        "tail_s": 0.4, "highpass_hz": 30.0, "lowpass_hz": 500.0, "growth_ratio": 1.2, "saturated_fraction": 0.01,
+        "longest_gap": 2, "lost_fraction": 0.01, "late_fraction": 0.003,
+    }  # fmt: skip
+    for limits in (VerdictLimits(), KOUL.verdict):
+        assert {name: getattr(limits, name) for name in known} == known
 
 
 def test_plug_ins_are_checked_by_name_and_setting() -> None:
