@@ -247,3 +247,9 @@ def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         site.build_site(tmp_path)
     assert rig.cli.run(["serve", "docs", "--no-open", "-o", str(tmp_path)]) == 2
     assert "haptic-rig[docs]" in capsys.readouterr().err
+
+
+def test_a_directory_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
+    pytest.importorskip("sphinx")
+    (tmp_path / "file").touch()
+    assert rig.cli.run(["serve", "docs", "--no-open", "-o", str(tmp_path / "file")]) == 9
