@@ -96,6 +96,23 @@ def test_commands_load_without_the_modules_of_linux(platform: str, tmp_path: Pat
     assert (tmp_path / "study.toml").exists()
 
 
+def test_emulation_hides_names_from_our_packages_alone_and_keeps_open_files(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(builtins, "__import__", emulated.import_of("win32", builtins.__import__))
+    ours, theirs = {"__name__": "rig.core.made_up"}, {"__name__": "numpy.made_up"}
+    exec("import os, sys", ours)
+    exec("import os, sys, fcntl", theirs)
+    assert (ours["sys"].platform, theirs["sys"].platform) == ("win32", "linux")  # type: ignore[attr-defined]
+    assert (hasattr(ours["os"], "getuid"), hasattr(theirs["os"], "getuid")) == (False, True)
+    with pytest.raises(ModuleNotFoundError):
+        exec("import fcntl", ours)
+    path = tmp_path / "file"
+    with open(path, "wb"), pytest.raises(PermissionError):
+        emulated.unless_open(os.unlink)(path)
+    emulated.unless_open(os.unlink)(path)
+
+
 def test_locks_of_windows_lie_after_all_data_and_refuse_a_second_writer(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
