@@ -322,7 +322,7 @@ class Measured:
         # that acted, or a device that overruled the law, it was another wall.
         if self.found & INVALID & ~(Objection.GONE | Objection.STILL_SETTLING | Objection.LEFT):
             return None
-        return not self.found & (UNSTABLE | Objection.GONE | _EXCEEDED_BY[criterion])
+        return not self.found & (UNSTABLE | Objection.GONE | Objection.LEFT | _EXCEEDED_BY[criterion])
 
 
 def overrule(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
