@@ -138,7 +138,7 @@ def test_person_who_leaves_a_calm_wall_gives_no_verdict(at: float, speed: float,
     verdict = judge(s, PERSON)
     assert verdict.kind is Kind.INVALID
     assert "left the calm wall" in " ".join(verdict.reasons)
-    assert not measure_signals(s, PERSON).passes("any"), "no map may count such a wall as stable"
+    assert measure_signals(s, PERSON).passes("any") is False, "no map may count such a wall as stable"
     assert judge(s, LIMITS).kind is (Kind.UNSTABLE if at > 0.6 else Kind.INVALID)
 
 
