@@ -143,3 +143,9 @@ def test_a_wrong_rate_is_refused_with_the_reason() -> None:
         parse_rates("20k/2k/1k")
     with pytest.raises(ConfigError, match="whole number"):
         parse_rates("2.5")
+
+
+def test_a_label_has_rates_estimator_and_cutoff_in_effect() -> None:
+    assert Scheme.parse("uniform:20k").label(KOUL) == "uniform 20 kHz, fdm-butterworth 2000 Hz"
+    text = "dual:20k/2k,estimator=levant,prediction=extrapolate"
+    assert Scheme.parse(text).label(KOUL) == "dual 20/2 kHz, levant, extrapolated"
