@@ -141,6 +141,24 @@ def test_invisible_characters_of_a_message_are_escaped_in_a_terminal() -> None:
     assert output.for_terminal("a\u00a0b\u200b\0\x1b[2J\n\t−µ°") == "a\\xa0b\\u200b\\x00\\x1b[2J\n\t−µ°"
 
 
+def test_an_argument_that_an_error_names_is_an_option_of_a_command() -> None:
+    """A command prints `name` of a message as --name."""
+    words = {name for _, command in commands() for one in command.params for name in one.opts}
+    options = {word[2:].replace("-", "_") for word in words if word.startswith("--")}
+    named = {
+        (module, found)
+        for module, path in source_files(["rig"]).items()
+        if "Error(" in (source := path.read_text(encoding="utf-8"))
+        for call in ast.walk(ast.parse(source))
+        if isinstance(call, ast.Call) and ast.unparse(call.func).endswith("Error")
+        for part in ast.walk(call)
+        if isinstance(part, ast.Constant) and isinstance(part.value, str)
+        for found in output._ARGUMENT.findall(part.value)
+    }
+    assert len(named) > 5
+    assert [one for one in sorted(named) if one[1] not in options] == []
+
+
 def test_a_command_shows_an_argument_as_its_option(capsys: Any) -> None:
     text = "this wall must not be armed; or accept the risk: `arm_anyway`; see `rig doctor`"
     assert output.for_terminal(text).endswith("the risk: --arm-anyway; see `rig doctor`")
