@@ -32,6 +32,8 @@ from rig.core.sample import Phase, RowFlag
 from rig.devices import framed
 from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import EXCHANGES
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import LAW_SIGNATURE
 from rig.recording.reader import open_recording
@@ -411,3 +413,11 @@ def test_a_device_that_is_not_safe_does_not_arm(far_end: str, tmp_path: Path) ->
     assert Fault.EMERGENCY_STOP.text in str(trial.error)
     assert not trial.path.exists()
     assert len(bench.device.truth()) == 0
+
+
+def test_a_fault_of_an_earlier_run_is_cleared_and_reported(tmp_path: Path) -> None:
+    bench = Bench()
+    bench.device.inject_fault(Fault.OVER_SPEED)
+    with bench.open() as device:
+        results = tuple(hit(HitRequest(experiment=bench.experiment, device=device, output=tmp_path), admit))
+    assert [result.cleared_fault for result in results] == [Fault.OVER_SPEED.text]
