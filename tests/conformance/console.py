@@ -20,7 +20,7 @@ from rig.extras.console.terminal import Terminal
 from rig.realtime.memories import LoopMemory, ask_to_stop
 from rig.realtime.running import RunningLoop, running
 
-PATIENCE_S = 60.0  # machine code may have to be made first, beside other work
+PATIENCE_S = 100.0  # machine code may have to be made first, beside other work
 
 
 class Page:

@@ -13,7 +13,7 @@ from firmware_protocol import messages as m
 from rig.core.errors import LinkLostError
 from rig.core.sample import TRUTH
 from rig.devices.device import Link
-from rig.realtime.kernel import kernel
+from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import TRANSFER, WAIT
 from tests.conformance.host import Host
 
@@ -28,6 +28,7 @@ def check_link(make_link: MakeLink, make_silent_link: MakeLink, *, slack_s: floa
 
     A call may return `slack_s` later than its timeout: 0 in virtual time.
     """
+    prepare(give, listen)  # compiling takes longer than a reply
     checks = (_carries_a_conversation, _carries_single_bytes, _serves_the_compiled_loop, _is_gone_when_closed)
     for check in checks:
         with closing(make_link()) as link:

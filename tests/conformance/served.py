@@ -10,7 +10,7 @@ from rig.core.model import RigModel
 from sim_backend.ends import pty
 from tests.conformance.rigs import rotary_rig
 
-WAIT_S = 20.0
+WAIT_S = 100.0
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from sim_backend.drives.socket_can import CLASSIC_BYTES, REMOTE
 from tests.conformance.drives import CAN_FRAME, NAN, Moteus, Odrive, drive_rig
 from tests.conformance.started import started
 
-WAIT_S = 20.0
+WAIT_S = 100.0
 TORQUE = {"position": NAN, "velocity": 0.0, "kp_scale": 0.0, "kd_scale": 0.0, "ilimit_scale": 0.0}
 FREE = {
     "axis0.controller.config.enable_torque_mode_vel_limit": "0",

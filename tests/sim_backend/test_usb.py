@@ -19,7 +19,7 @@ from sim_backend.ends import usb
 from sim_backend.ends.usb import HIGH_SPEED_PACKET, UsbPort, UsbShape
 from tests.conformance.rigs import rotary_rig
 
-WAIT_S = 20.0
+WAIT_S = 100.0
 
 
 @pytest.fixture

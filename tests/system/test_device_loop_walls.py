@@ -23,7 +23,7 @@ from sim_backend.ends.link import MemoryLink
 from tests.conformance.firmware import need_compiler
 
 RATE = 10_000
-WAIT_S = 20.0
+WAIT_S = 100.0
 EXCITED = {
     "controller.loop": "device",
     "controller.position_rate": RATE,

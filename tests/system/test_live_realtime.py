@@ -25,7 +25,7 @@ from tests.conformance.census import MARK, marked, still_there
 from tests.conformance.started import started
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 60.0
+PATIENCE_S = 100.0
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from rig.extras.console.service import ServiceContext
 from rig.extras.console.terminal import Terminal
 from rig.realtime.hand import SharedHand
 
-PATIENCE_S = 30.0
+PATIENCE_S = 100.0
 WAITS = "import time; time.sleep(60)"
 
 

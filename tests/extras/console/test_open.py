@@ -28,7 +28,7 @@ async def serve(ended):
 
 open.end_on_signal(serve)
 """
-PATIENCE_S = 60.0  # ends a test that would hang
+PATIENCE_S = 100.0  # ends a test that would hang
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal is sent to another process there")

@@ -20,7 +20,7 @@ from rig.core.process import start_announced
 from rig.realtime._c_library import CLibrary
 from tests.conformance.started import is_alive, started
 
-WAIT_S = 50.0
+WAIT_S = 100.0
 
 
 def announce_and_wait(announce: Callable[[Any], None]) -> None:

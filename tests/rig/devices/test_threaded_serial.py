@@ -29,13 +29,19 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.link import check_link
 from tests.conformance.served import served_rig
 
-WAIT_S = 20.0
+WAIT_S = 100.0
 SLACK_S = 5.0  # of a loaded machine
 RATE_HZ = 5000
 
 
 def opened(path: str, query: str = "") -> ThreadedSerialLink:
     return open_link(DeviceUrl.parse(f"serial://{path}{query}"))
+
+
+@pytest.fixture(autouse=True)
+def _patient_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a port accept no bytes for longer: pyserial also gives up when it was halted for as long after a write."""
+    monkeypatch.setattr(threaded_serial, "BUFFER_S", SLACK_S)
 
 
 @pytest.fixture

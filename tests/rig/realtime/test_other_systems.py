@@ -21,7 +21,7 @@ from rig.realtime.ring import Ring
 from rig.realtime.system import EAGAIN
 from tests.conformance.running_loop import loop_process
 
-WAIT_S = 30.0
+WAIT_S = 100.0
 
 
 @pytest.fixture
