@@ -1,7 +1,7 @@
 """``python -m tests.guest.stage [pytest arguments]`` boots a guest and runs the tests of this directory in it.
 
 Kernels (for the simplest CPU) and Python files are compiled here, because an emulated machine takes minutes; the files
-read meanwhile are copied to a disk for the guest.
+read meanwhile are copied to a disk for the guest. ``--prepare`` alone compiles the kernels, which are kept, and ends.
 """
 
 import os
@@ -32,6 +32,9 @@ def main() -> int:
     cache = Path(os.environ.get("HAPTIC_RIG_GUEST_CACHE") or Path(tempfile.gettempdir()) / "haptic-rig-guest")
     kernels = cache / "kernels"
     started = time.monotonic()
+    if sys.argv[1:] == ["--prepare"]:
+        _prepare(kernels)
+        return 0
     try:
         check_tools()
         unpacked_kernel(cache)

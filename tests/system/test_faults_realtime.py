@@ -142,7 +142,10 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number: Any, bench
     device, path = bench.start(), bench.directory / "trial.rigcap"
     host = HostProcess(device.url, bench.long, path)
     try:
-        device.wait_for(lambda w: w["running"] > bench.early, "the host moves nothing")
+        device.wait_for(
+            lambda w: w["running"] > bench.early or not host.process.is_alive(), "the host moves nothing"
+        )
+        assert host.process.is_alive(), f"the host ended with {host.ended()!r}"
         host.send(number)
         device.wait_for_rest()
         if number == signal.SIGSTOP:
