@@ -288,9 +288,8 @@ def test_bytes_without_an_end_are_counted_once_and_forgotten(library: CDLL) -> N
 # ---------------------------------------------------------------------- heat
 
 
-CThermal = structure(
-    "CThermal", (u64, "heat budget"), (u32, "decay"), (u8, "shift")
-)  # struct thermal of thermal.h
+# `struct thermal` of thermal.h.
+CThermal = structure("CThermal", (u64, "heat budget"), (u32, "decay"), (u8, "shift"))
 
 
 @pytest.mark.parametrize("rate", [50, 1_000, 50_000])

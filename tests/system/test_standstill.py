@@ -21,9 +21,8 @@ from sim_backend.mechanics.plant import DiscretePlant, advance
 from tests.system.test_dead_encoder import DEAD
 
 Count = Callable[[int], int]
-SHARE = (
-    0.5  # of the speed limit, at which a dead encoder is detected; as in firmware_protocol/firmware/fmea.toml
-)
+# Share of the speed limit at which a dead encoder is detected, as in firmware_protocol/firmware/fmea.toml.
+SHARE = 0.5
 
 
 @dataclass(frozen=True)

@@ -289,9 +289,8 @@ def test_a_drive_that_stops_by_itself_or_for_another_host(what: str) -> None:
     world, host = armed(Bridged(kind=what.partition(":")[0]))
     push(host, 10)
     world.happen(name, value)
-    state = push_until_fault(
-        host, 5 if world.far.name == "moteus" else 15
-    )  # an ODrive's heartbeat reports it
+    # An ODrive's heartbeat reports it.
+    state = push_until_fault(host, 5 if world.far.name == "moteus" else 15)
     assert state.fault == fault
     world.run(WATCHDOG_S + SLACK_S)
     assert world.drive.motor.torque == pytest.approx(0.0, abs=1e-3)

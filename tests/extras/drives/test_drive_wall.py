@@ -179,12 +179,8 @@ def stop_bridge(run: Walled) -> None:
     ("end", "within_s", "mode", "fault"),
     [
         (stop_bridge, 0.001, 0, 0),
-        (
-            lambda run: setattr(run.world, "alive", False),
-            WATCHDOG_S + SLACK_S,
-            11,
-            0,
-        ),  # the watchdog of the drive
+        # The watchdog of the drive ends it.
+        (lambda run: setattr(run.world, "alive", False), WATCHDOG_S + SLACK_S, 11, 0),
         (
             lambda run: run.world.bridge.lose_bus(run.world._now),
             WATCHDOG_S + SLACK_S,

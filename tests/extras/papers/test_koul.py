@@ -141,16 +141,10 @@ def peaks_of(first: float, other: float, third: float) -> dict[tuple[str, ...], 
         (rules.loses, (felt_at([(0.0, 0.0), (1.0, 0.0)], RISES),), NO),  # nothing to lose
         (rules.first_rises, ({("r", "felt"): RISES},), YES),
         (rules.first_rises, ({("r", "felt"): FALLS},), NO),
-        (
-            rules.first_rises,
-            ({("r", "felt"): [(0.0, 200.0), (1.0, 150.0), (2.0, 300.0)]},),
-            NO,
-        ),  # it falls first
-        (
-            rules.first_rises,
-            ({("r", "felt"): [(0.0, 200.0), (1.0, 220.0)]}, 1.35),
-            NO,
-        ),  # less than half a rung
+        # It falls before it rises.
+        (rules.first_rises, ({("r", "felt"): [(0.0, 200.0), (1.0, 150.0), (2.0, 300.0)]},), NO),
+        # The rise is less than half a rung.
+        (rules.first_rises, ({("r", "felt"): [(0.0, 200.0), (1.0, 220.0)]}, 1.35), NO),
         (rules.lower_penetration, ({"a": (57, 40, 29)},), YES),
         (rules.lower_penetration, ({"a": (57, 30, 28)},), NO),
         (

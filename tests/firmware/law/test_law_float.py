@@ -21,9 +21,8 @@ ESTIMATED = {**rigs.UNIFORM, "wall.position_from": "estimator"}
 SCHEMES = {"dual": rigs.DUAL, "uniform": rigs.UNIFORM, "passive": {**rigs.DUAL, **PASSIVE}}
 SCHEMES |= {"estimated": {**ESTIMATED, **PASSIVE}, "position": {**ESTIMATED, "wall.stiffness": 400.0}}
 SUITS = {"estimated": ("kalman", "disturbance"), "passive": ("fdm-butterworth", "disturbance")}
-SUITS["position"] = (
-    "disturbance-two-mass",
-)  # with PASSIVE the quotient by a low velocity multiplies the rounding by 20
+# With PASSIVE the quotient by a low velocity multiplies the rounding by 20.
+SUITS["position"] = ("disturbance-two-mass",)
 APART = {("levant", "uniform"), ("disturbance-two-mass", "dual")}  # the latter is unstable at 2 kHz
 EPS = 2.0**-24  # half a unit in the last place of float32, relative
 WALK_ERROR = 0.02  # quanta; the set point is rounded to 2^-24 counts a tick

@@ -52,6 +52,8 @@ PRESET = "koul-rigid"
 # every optional signal of the encoder, and an amplifier that delays its set-point as an ESCON by PWM does.
 IMAGES: dict[str, tuple[dict[str, object], dict[str, Any]]] = {
     "usual": ({}, {}),
+    "converter": ({}, {"output": "dac"}),
+    "delayed": ({"rig.amplifier.set_point_delay_s": 1e-4}, {}),
     "full": (
         {"rig.amplifier.set_point_delay_s": 1e-4},
         {"output": "dac", "encoder_lines": "complementary"}

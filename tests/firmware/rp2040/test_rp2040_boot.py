@@ -77,9 +77,8 @@ def boot_rom_crc(data: bytes) -> int:
 
 
 def test_the_boot_rom_would_take_the_boot_block(built: BuildResult) -> None:
-    assert (
-        boot_rom_crc(b"123456789") == 0x0376E6E7
-    )  # of CRC-32/MPEG-2 (Cook's catalogue of parametrised CRCs)
+    # The check value of CRC-32/MPEG-2 in Cook's catalogue of parametrised CRCs.
+    assert boot_rom_crc(b"123456789") == 0x0376E6E7
     image = built.bin.read_bytes()
     (crc,) = struct.unpack_from("<I", image, BOOT2_BYTES - 4)
     found = boot_rom_crc(image[: BOOT2_BYTES - 4])

@@ -49,11 +49,19 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
 
 
 # Share of the period that the worst tick may take: a little above what it took on 2026-11-29 (PICO.md). A delay of the
-# set-point adds two currents to compute, and a search of the delay line from half to twice the delay; its cycles are
-# within a period of 50 kHz, too.
+# set-point adds two currents to compute, and a search of the delay line from half to twice the delay.
 @pytest.mark.parametrize(
     ("image", "position_rate", "velocity_rate", "share"),
-    [("usual", 20_000, 2_000, 0.305), ("usual", 50_000, 50_000, 0.77), ("full", 20_000, 20_000, 0.35)],
+    [
+        ("usual", 20_000, 2_000, 0.305),
+        ("usual", 20_000, 20_000, 0.305),
+        ("usual", 50_000, 5_000, 0.77),
+        ("usual", 50_000, 50_000, 0.77),
+        ("converter", 20_000, 20_000, 0.305),
+        ("converter", 50_000, 5_000, 0.77),
+        ("delayed", 20_000, 20_000, 0.34),
+        ("delayed", 50_000, 5_000, 0.9),
+    ],
 )
 def test_the_worst_tick_of_a_hit_with_the_law_on_the_device_is_in_time_and_every_count_is_the_truth(
     powered: Powered, image: str, position_rate: int, velocity_rate: int, share: float

@@ -17,11 +17,8 @@ USB, SERIAL = "usb://1209:0001", "serial:///dev/ttyACM0"
         (errno.ENODEV, errors.UnpluggedError, errors.UnpluggedError),
         (errno.ESHUTDOWN, errors.UnpluggedError, errors.UnpluggedError),
         (errno.EPIPE, errors.StalledError, errors.UnpluggedError),
-        (
-            errno.EIO,
-            errors.BrokenLineError,
-            errors.UnpluggedError,
-        ),  # a terminal knows no other word for unplugged
+        # A terminal reports EIO when the cable is pulled.
+        (errno.EIO, errors.BrokenLineError, errors.UnpluggedError),
         (errno.EPROTO, errors.BrokenLineError, errors.BrokenLineError),
         (errno.ETIMEDOUT, errors.BlockedError, errors.BlockedError),
         (errno.EOVERFLOW, errors.OverflowedError, errors.OverflowedError),

@@ -80,9 +80,8 @@ def test_the_header_of_a_cut_names_recording_place_and_time(uncut: Recording, tm
     facts = cut_facts(open_facts(result.path))
     assert facts is not None
     assert facts["recording"] == place(uncut).name
-    assert (
-        facts["sha256"] == hashlib.sha256(place(uncut).read_bytes()).hexdigest()
-    )  # as a session's log has it
+    # A session's log contains the same hash.
+    assert facts["sha256"] == hashlib.sha256(place(uncut).read_bytes()).hexdigest()
     assert facts["first_tick"] == facts["rows_before"] > 0
     assert facts["rows_before"] + result.rows + facts["rows_after"] == len(uncut)
     assert 0.05 <= facts["first_s"] == result.first_s < result.last_s == facts["last_s"] <= 0.15
