@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from rig.core.deferred import mixed_linear_model
+from rig.core import deferred
 from rig.extras.study import agreement, effects, kmax, mixed, psychometric
 from rig.extras.study.rows import LimitInterval, RunRow, TrialRow
 from rig.extras.study.trials import half_way
@@ -541,7 +541,7 @@ def test_too_few_data_give_a_reason_and_no_contrast(rows: Any, why: str) -> None
 
 def test_without_statsmodels_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "statsmodels.regression.mixed_linear_model", None)
-    monkeypatch.setattr(mixed_linear_model, "_module", None)
+    monkeypatch.setattr(deferred.mixed_linear_model, "_module", None)
     assert "pip install 'haptic-rig[report]'" in model_of(runs_of_people()).problem
 
 
