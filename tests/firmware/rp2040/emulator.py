@@ -48,8 +48,9 @@ PINS = {
     "hold_to_run": 11, "emergency_stop": 12, "sync_in": 4, "sync_out": 5,
 }  # fmt: skip
 PRESET = "koul-rigid"
-# Images of the tests: changes of the rig, settings of the board. Linking takes seconds, so "full" has the converter,
-# every optional signal of the encoder, and an amplifier that delays its set-point as an ESCON by PWM does.
+# Images of the tests: changes of the rig, settings of the board. Linking takes seconds, so most tests share two;
+# "full" has the converter, every optional signal of the encoder, and an amplifier that delays its set-point as an ESCON
+# by PWM does.
 IMAGES: dict[str, tuple[dict[str, object], dict[str, Any]]] = {
     "usual": ({}, {}),
     "converter": ({}, {"output": "dac"}),

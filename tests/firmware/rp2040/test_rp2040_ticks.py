@@ -61,6 +61,7 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
         ("converter", 50_000, 5_000, 0.77),
         ("delayed", 20_000, 20_000, 0.34),
         ("delayed", 50_000, 5_000, 0.9),
+        ("full", 20_000, 20_000, 0.35),
     ],
 )
 def test_the_worst_tick_of_a_hit_with_the_law_on_the_device_is_in_time_and_every_count_is_the_truth(

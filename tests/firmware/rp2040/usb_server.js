@@ -15,7 +15,7 @@ const HEAD = 48;
 const SLICE = 500e3; // ns of the board, then whoever waits is asked
 const BEHIND = 20e6; // ns of the board that are made up for; more are forgotten
 const STATUS_EVERY = 100; // ms
-const PATIENCE = 3e3; // ms without a word of the host, then the board's time stands still until the next one
+const PATIENCE = 3e3; // ms without a message of the host, then the board's time stands still until the next one
 
 const settings = JSON.parse(fs.readFileSync(process.argv[2], 'utf8'));
 const pico = new UsbPico(fs.readFileSync(settings.image), settings.pins, settings);
