@@ -19,8 +19,7 @@ from rig.extras.console.server import ConsoleSettings, run
 from rig.extras.console.terminal import Terminal
 from rig.realtime.memories import LoopMemory, ask_to_stop
 from rig.realtime.running import RunningLoop, running
-
-PATIENCE_S = 100.0  # machine code may have to be made first, beside other work
+from tests.conformance.started import WAIT_S
 
 
 class Page:
@@ -54,7 +53,7 @@ class Page:
 
     async def until(self, found: Callable[[Page], Any]) -> Any:
         """Wait until a condition on the received messages is true, and return its value."""
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(WAIT_S):
             while not (result := found(self)):
                 if self.closed is not None:
                     raise self.closed

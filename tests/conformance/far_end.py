@@ -48,10 +48,9 @@ from sim_backend.ends.board_time import BoardTime
 from sim_backend.ends.channel import ScriptedLine
 from sim_backend.ends.line import PseudoTerminal
 from sim_backend.ends.real_time import DevicePort, RealTime, sleep_until
-from tests.conformance.started import die_with_parent
+from tests.conformance.started import WAIT_S, die_with_parent
 from tests.conformance.trials import trial_on
 
-WAIT_S = 100.0  # for anything at all, on a loaded machine
 SLOWER = 100  # a host that died has lost its device after 2 s
 PATIENCE_S = 5.0  # without a sample, after which a device is lost to its host
 ANSWER_S = 0.1  # until a request is sent again

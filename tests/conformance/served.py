@@ -9,8 +9,7 @@ from typing import Any
 from rig.core.model import RigModel
 from sim_backend.ends import pty
 from tests.conformance.rigs import rotary_rig
-
-WAIT_S = 100.0
+from tests.conformance.started import WAIT_S
 
 
 @contextmanager

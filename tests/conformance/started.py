@@ -17,6 +17,9 @@ from pathlib import Path
 from typing import Any
 
 LEASH = ("setpriv", "--pdeathsig", "KILL")  # before a command
+# Timeout of a wait for another process or thread, which may compile first, on a loaded machine. It must end before the
+# timeout of pytest.
+WAIT_S = 100.0
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 

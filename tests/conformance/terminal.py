@@ -16,9 +16,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.conformance.started import LEASH
+from tests.conformance.started import LEASH, WAIT_S
 
-PATIENCE_S = 100.0
 LOOK_S = 0.05  # what is waited for may be about more than what is printed
 
 
@@ -47,7 +46,7 @@ class Program:
     pid: int
     leash: list[int]
 
-    def wait(self, patience_s: float = PATIENCE_S) -> tuple[int, str]:
+    def wait(self, patience_s: float = WAIT_S) -> tuple[int, str]:
         """Wait for the program's end; return its exit code and its standard error."""
         if self.leash:
             os.close(self.leash.pop())
@@ -88,7 +87,7 @@ class Terminal:
             return
         self._closed = True
         os.write(self._stop_writer, b".")
-        self._thread.join(PATIENCE_S)
+        self._thread.join(WAIT_S)
         for descriptor in (self.master, self.slave, self._stop_reader, self._stop_writer):
             os.close(descriptor)
 
@@ -123,11 +122,11 @@ class Terminal:
     def bells(self) -> int:
         return self.printed.count("\a")
 
-    def wait(self, *texts: str, patience_s: float = PATIENCE_S) -> str:
+    def wait(self, *texts: str, patience_s: float = WAIT_S) -> str:
         """Wait until all texts were printed since the last keys; return what was printed."""
         return self.until(lambda: all(text in self.fresh for text in texts), str(texts), patience_s)
 
-    def until(self, condition: Callable[[], bool], what: str = "", patience_s: float = PATIENCE_S) -> str:
+    def until(self, condition: Callable[[], bool], what: str = "", patience_s: float = WAIT_S) -> str:
         """Wait until a condition is true; return what was printed since the last keys."""
         deadline = time.monotonic() + patience_s
         with self._changed:

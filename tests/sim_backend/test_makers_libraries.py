@@ -24,9 +24,8 @@ from sim_backend.drives.bus import Frame
 from sim_backend.drives.can_simple import CanSimpleCommand, Error
 from sim_backend.drives.socket_can import CLASSIC_BYTES, REMOTE
 from tests.conformance.drives import CAN_FRAME, NAN, Moteus, Odrive, drive_rig
-from tests.conformance.started import started
+from tests.conformance.started import WAIT_S, started
 
-WAIT_S = 100.0
 TORQUE = {"position": NAN, "velocity": 0.0, "kp_scale": 0.0, "kd_scale": 0.0, "ilimit_scale": 0.0}
 FREE = {
     "axis0.controller.config.enable_torque_mode_vel_limit": "0",

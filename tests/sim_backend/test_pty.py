@@ -24,9 +24,9 @@ from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.rigs import rotary_rig
 from tests.conformance.served import served_rig
+from tests.conformance.started import WAIT_S
 from tests.conformance.tiers import first_by_default
 
-WAIT_S = 100.0
 SLACK_S = 5.0  # of a loaded machine
 
 

@@ -18,8 +18,7 @@ from rig.core.errors import ConfigError
 from sim_backend.ends import usb
 from sim_backend.ends.usb import HIGH_SPEED_PACKET, UsbPort, UsbShape
 from tests.conformance.rigs import rotary_rig
-
-WAIT_S = 100.0
+from tests.conformance.started import WAIT_S
 
 
 @pytest.fixture

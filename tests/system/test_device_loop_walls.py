@@ -21,9 +21,9 @@ from rig.realtime.ring import Ring
 from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.firmware import need_compiler
+from tests.conformance.started import WAIT_S
 
 RATE = 10_000
-WAIT_S = 100.0
 EXCITED = {
     "controller.loop": "device",
     "controller.position_rate": RATE,

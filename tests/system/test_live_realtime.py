@@ -22,10 +22,9 @@ from rig.realtime._anonymous_memory import LINK
 from rig.realtime.running import RunningLoop, running, stop
 from rig.recording.reader import open_recording
 from tests.conformance.census import MARK, marked, still_there
-from tests.conformance.started import started
+from tests.conformance.started import WAIT_S, started
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 100.0
 
 
 @contextmanager
@@ -42,7 +41,7 @@ def hit(
 
 def wait_until_stepping(process: subprocess.Popen[str], ticks: int) -> RunningLoop:
     """Wait until the loop of a process has made more than `ticks` steps, and return that loop."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + WAIT_S
     while process.poll() is None and time.monotonic() < deadline:
         for loop in running():
             if loop.pid == process.pid and loop.ticks > ticks:
@@ -63,9 +62,9 @@ ON_DEVICE = (
 def test_another_terminal_changes_the_wall_and_stops_the_loop(options: str, tmp_path: Path) -> None:
     with hit(tmp_path, "--no-plot", *options.split()) as (process, loop):
         assert Path(loop.info["recording"]).parent == tmp_path
-        done = change_wall({"stiffness": 120.0, "damping": 0.3}, process.pid, patience_s=PATIENCE_S)
-        stopped = stop(process.pid, patience_s=PATIENCE_S)
-        out, err = process.communicate(timeout=PATIENCE_S)
+        done = change_wall({"stiffness": 120.0, "damping": 0.3}, process.pid, patience_s=WAIT_S)
+        stopped = stop(process.pid, patience_s=WAIT_S)
+        out, err = process.communicate(timeout=WAIT_S)
         assert process.returncode == StoppedError.exit_code, err
         assert [one.ended for one in stopped] == [True]
         assert done.active

@@ -39,13 +39,12 @@ from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.census import MARK, Census, marked, nothing_left, still_there
 from tests.conformance.far_end import FarEnd, Script, patient_host
-from tests.conformance.started import started
+from tests.conformance.started import WAIT_S, started
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 from tests.system.test_faults import gives_nan, raises
 from tests.system.test_faults_realtime import COMMON, ON_HOST
 
-WAIT_S = 100.0  # on a loaded machine
 RATE = 500
 NO_SUCH_CPU = 4_095
 EMPTY_CAPTURE_BYTES = 40_000  # at most; a header without rows

@@ -35,7 +35,7 @@ from rig.session.engine._place import Place
 from rig.session.planning._protocol import Keys
 from rig.session.planning._template_files import template_names, write_template
 from rig.session.terminal._participant import INSTRUCTIONS, instruct
-from tests.conformance.terminal import PATIENCE_S
+from tests.conformance.started import WAIT_S
 from tests.extras.console.console_fakes import CONTENT
 from tests.rig.session.session_desks import AtPage, FakeClient, until
 from tests.rig.session.session_fakes import FakeRunner
@@ -74,21 +74,21 @@ def test_a_key_about_an_earlier_question_is_no_answer(page: AtPage, asker: Threa
     reply = asked(page, asker, READY)
     before = page.session["asked"]
     page.press("g")
-    assert reply.result(PATIENCE_S).action == "go"
+    assert reply.result(WAIT_S).action == "go"
     reply = asked(page, asker, VERDICT)
     page.ask("session_key", key="1", asked=before)  # pressed before the verdict could be read
     page.ask("session_line", text="1", asked=before)
     page.ask("session_key", key="3", asked=before + 1)
-    assert reply.result(PATIENCE_S).value == "unstable"
+    assert reply.result(WAIT_S).value == "unstable"
 
 
 def test_the_time_of_an_answer_is_from_when_it_could_be_read(page: AtPage, asker: ThreadPoolExecutor) -> None:
     reply = asked(page, asker, VERDICT)
     page.ask("session_key", key="1", asked=page.session["asked"], shown_s=0.0)
-    assert reply.result(PATIENCE_S).took_s == 0.0
+    assert reply.result(WAIT_S).took_s == 0.0
     reply = asked(page, asker, VERDICT)
     page.ask("session_key", key="2", asked=page.session["asked"], shown_s=1e6)  # longer than it was asked
-    assert reply.result(PATIENCE_S).took_s < PATIENCE_S
+    assert reply.result(WAIT_S).took_s < WAIT_S
 
 
 def test_a_page_that_comes_back_sees_the_question(page: AtPage, asker: ThreadPoolExecutor) -> None:
@@ -100,7 +100,7 @@ def test_a_page_that_comes_back_sees_the_question(page: AtPage, asker: ThreadPoo
     assert again.newest["session"]["question"] == "the verdict?"
     page.shared.lease.release("operator")
     page.ask("session_key", again, key="1", asked=again.newest["session"]["asked"])
-    assert reply.result(PATIENCE_S).value == "stable"
+    assert reply.result(WAIT_S).value == "stable"
 
 
 def test_a_desk_that_cannot_look_reports_it_and_ends(page: AtPage, asker: ThreadPoolExecutor) -> None:
@@ -108,7 +108,7 @@ def test_a_desk_that_cannot_look_reports_it_and_ends(page: AtPage, asker: Thread
     assert page.service._seat is not None
     page.service._seat.look = lambda _: {}["a defect"]  # type: ignore[method-assign]
     with pytest.raises(StoppedError):  # as a question without an answer
-        reply.result(PATIENCE_S)
+        reply.result(WAIT_S)
     assert "a defect" in page.client.newest["trouble"]["message"]
 
 
@@ -118,7 +118,7 @@ def test_one_page_operates_and_any_may_stop(page: AtPage, asker: ThreadPoolExecu
     with pytest.raises(ConfigError, match="another page operates"):
         page.ask("session_key", other, key="g", asked=page.session["asked"])
     page.press("g")
-    reply.result(PATIENCE_S)
+    reply.result(WAIT_S)
     with Ring.allocate(16, info={}, shared=True) as ring:
         page.ask("session_key", other, key="space")
         assert ring.peek(STOP) != 0
@@ -141,7 +141,7 @@ def test_a_participant_answers_verdicts_and_items_alone(page: AtPage, asker: Thr
     assert page.participant.newest["participant"]["verdicts"] == []
     assert page.session["question"] == "ready?"
     page.press("g")
-    assert reply.result(PATIENCE_S).action == "go"
+    assert reply.result(WAIT_S).action == "go"
     reply = asked(page, asker, VERDICT)
     for key in ("r", "a", "n", "?"):
         answers(key)
@@ -151,10 +151,10 @@ def test_a_participant_answers_verdicts_and_items_alone(page: AtPage, asker: Thr
         "buzz",
     ]
     answers("2")
-    assert reply.result(PATIENCE_S).value == "buzz"
+    assert reply.result(WAIT_S).value == "buzz"
     reply = asked(page, asker, ITEM)
     answers(line="not <b>very</b>")
-    assert reply.result(PATIENCE_S).value == "not <b>very</b>"
+    assert reply.result(WAIT_S).value == "not <b>very</b>"
 
 
 def test_a_participant_sees_no_wall_and_no_trouble_of_an_unblinded_operator(page: AtPage) -> None:

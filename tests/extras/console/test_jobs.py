@@ -24,8 +24,8 @@ from rig.extras.console.runs import Runs
 from rig.extras.console.service import ServiceContext
 from rig.extras.console.terminal import Terminal
 from rig.realtime.hand import SharedHand
+from tests.conformance.started import WAIT_S
 
-PATIENCE_S = 100.0
 WAITS = "import time; time.sleep(60)"
 
 
@@ -45,7 +45,7 @@ class Here:
         monkeypatch.setattr(asyncio, "create_subprocess_exec", ours)
 
     async def wait_for_end(self) -> None:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(WAIT_S):
             while {"say": "ended"} not in self.messages:
                 await asyncio.sleep(0.01)
 
@@ -178,7 +178,7 @@ async def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: p
 
     async with jobs_of(IMPORTS, monkeypatch) as here:
         await here.jobs.start("hit", {})
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(WAIT_S):
             while {"say": "progress"} not in here.messages:
                 await asyncio.sleep(0.01)
         here.jobs.end()

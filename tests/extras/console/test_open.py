@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from tests.conformance.started import WAIT_S
 from tests.conformance.tiers import first_by_default
 
 HANGS = {
@@ -28,7 +29,6 @@ async def serve(ended):
 
 open.end_on_signal(serve)
 """
-PATIENCE_S = 100.0  # ends a test that would hang
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal is sent to another process there")
@@ -43,7 +43,7 @@ def test_a_console_that_waits_for_ever_ends_after_a_signal(hang: str, number: si
             assert console.stdout is not None
             assert console.stdout.readline() == "serves\n"
             console.send_signal(number)
-            _, complaint = console.communicate(timeout=PATIENCE_S)
+            _, complaint = console.communicate(timeout=WAIT_S)
         finally:
             console.kill()
     assert console.returncode == 1  # ended by the timer; an orderly end gives 0

@@ -23,8 +23,8 @@ from rig.recording.reader import open_recording
 from rig.session.engine._log import read
 from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._live import snapshot_of
-from tests.conformance.started import is_alive
-from tests.conformance.terminal import PATIENCE_S, Program, Terminal
+from tests.conformance.started import WAIT_S, is_alive
+from tests.conformance.terminal import Program, Terminal
 
 ROOT = Path(__file__).parents[3]
 RATE = 250  # Hz: a loop that a loaded machine has time for
@@ -172,7 +172,7 @@ def child_of(pid: int) -> int:
 
 
 def eventually(condition: Callable[[], Any], what: str) -> Any:
-    pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
+    pause, deadline = threading.Event(), time.monotonic() + WAIT_S
     while time.monotonic() < deadline:
         if found := condition():
             return found
@@ -219,7 +219,7 @@ def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, operator: Ope
         begin_to_press(operator)
         console, before = child_of(engine), len(operator.of_kind("trial"))
         os.kill(console, signal.SIGSTOP)
-        running.stop(engine, patience_s=PATIENCE_S)
+        running.stop(engine, patience_s=WAIT_S)
         trial = eventually(lambda n=before: operator.of_kind("trial")[n:], "the trial in the log")[0]
         os.kill(console, signal.SIGCONT)
         terminal.type(LET_GO)

@@ -32,10 +32,10 @@ from rig.extras.drives.serve import look
 from sim_backend.drives.process import serve as serve_drive
 from tests.conformance.bridged import MOTEUS_SETUP, ODRIVE_SETUP, bridged_rig, plain_drive, write_endpoints
 from tests.conformance.host import RUN_PARAMETERS
+from tests.conformance.started import WAIT_S
 
 # The tick rate (Hz) is low because a simulated drive is a program, and this computer may be busy.
 SLOW_RUN_PARAMETERS = {**RUN_PARAMETERS, "position_rate": 100}
-PATIENCE_S = 100.0  # ends a test that would hang
 
 
 @contextmanager
@@ -46,10 +46,10 @@ def served_drive(kind: str, settings: dict[str, str], bus: str | None = None) ->
     drive = threading.Thread(target=serve_drive, args=(kind, bridged_rig()), kwargs=options)
     drive.start()
     try:
-        yield places.get(timeout=PATIENCE_S)
+        yield places.get(timeout=WAIT_S)
     finally:
         stop.set()
-        drive.join(PATIENCE_S)
+        drive.join(WAIT_S)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def port() -> Iterator[str]:
 
 def open_armed(url: str) -> FramedDevice:
     """Open and arm a device; open it again if the simulated drive was late, as it may be on a busy machine."""
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + WAIT_S
     while True:
         device = devices.open_device(url, bridged_rig())
         try:
@@ -82,7 +82,7 @@ def test_a_link_starts_a_bridge_and_one_that_is_killed_is_a_lost_link(port: str)
             assert device.states(0.3)
         os.kill(device.link.process, signal.SIGKILL)
         with pytest.raises(LinkLostError):
-            device.states(PATIENCE_S)
+            device.states(WAIT_S)
 
 
 @pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_one_that_is_killed_is_a_lost_link")
@@ -136,15 +136,15 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
         assert (facts["cycle_us"], facts["temperature"]) == (10_000, 25)
         watching = CanBus(bus, _connect(bus))
         os.kill(device.link.process, signal.SIGKILL)
-        until, state = time.monotonic() + PATIENCE_S, 8
+        until, state = time.monotonic() + WAIT_S, 8
         while state != 1 and time.monotonic() < until:
-            frame = watching.receive(PATIENCE_S)
+            frame = watching.receive(WAIT_S)
             if frame is not None and frame.id == odrive.OdriveCommand.HEARTBEAT:
                 state = frame.data[4]
         assert state == 1
         watching.close()
         with pytest.raises(LinkLostError):
-            device.states(PATIENCE_S)
+            device.states(WAIT_S)
 
 
 def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
@@ -160,7 +160,7 @@ def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
     running.start()
     assert drive.recv(100)[8:10] == b"\x11\x00"  # a query without a command
     host.close()
-    running.join(PATIENCE_S)
+    running.join(WAIT_S)
     assert not running.is_alive()
     bus.close()
     frames = list(iter(lambda: drive.recv(100), b""))
@@ -203,4 +203,4 @@ def test_the_command_serves_one_host_after_the_other(port: str, tmp_path: Path) 
     finally:
         bridge.send_signal(signal.SIGINT)
         bridge.stdout.close()
-        assert bridge.wait(PATIENCE_S) == 0
+        assert bridge.wait(WAIT_S) == 0

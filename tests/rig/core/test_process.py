@@ -18,9 +18,7 @@ from rig.core.child import find_program
 from rig.core.errors import DeviceNotFoundError, RigError
 from rig.core.process import start_announced
 from rig.realtime._c_library import CLibrary
-from tests.conformance.started import is_alive, started
-
-WAIT_S = 100.0
+from tests.conformance.started import WAIT_S, is_alive, started
 
 
 def announce_and_wait(announce: Callable[[Any], None]) -> None:

@@ -29,7 +29,6 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.link import check_link
 from tests.conformance.served import served_rig
 
-WAIT_S = 100.0
 SLACK_S = 5.0  # of a loaded machine
 RATE_HZ = 5000
 

@@ -45,10 +45,10 @@ from rig.realtime.ring import Ring
 from rig.recording.reader import open_recording
 from rig.recording.recorder import Recorder
 from tests.conformance.recording import example_header
+from tests.conformance.started import WAIT_S
 
 SESSION = 7
 PERIOD_NS = 1_000_000
-WAIT_S = 100.0
 COMPLIANT = presets.load("koul-compliant")
 
 

@@ -30,7 +30,8 @@ from rig.loop.replay import NO_SETS, replay_rows
 from rig.realtime import control_words
 from rig.realtime.ring import Ring
 from tests.conformance.batch_device import BatchDevice
-from tests.rig.loop.test_loop import PERIOD_NS, SESSION, WAIT_S, Script, state_frame
+from tests.conformance.started import WAIT_S
+from tests.rig.loop.test_loop import PERIOD_NS, SESSION, Script, state_frame
 from tests.rig.loop.test_loop import at_rest as controlled
 from tests.rig.loop.test_loop import settings as settings_of
 

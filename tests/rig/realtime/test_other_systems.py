@@ -20,8 +20,7 @@ from rig.realtime.control_words import STOP
 from rig.realtime.ring import Ring
 from rig.realtime.system import EAGAIN
 from tests.conformance.running_loop import loop_process
-
-WAIT_S = 100.0
+from tests.conformance.started import WAIT_S
 
 
 @pytest.fixture

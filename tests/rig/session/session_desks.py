@@ -38,27 +38,28 @@ from rig.session.terminal._asking import AskingDesk
 from rig.session.terminal._pointer import HandKind
 from rig.session.terminal._seat import keymap_for
 from rig.session.terminal.desk import ConsoleDesk, MovedHand
-from tests.conformance.terminal import PATIENCE_S, Terminal
+from tests.conformance.started import WAIT_S
+from tests.conformance.terminal import Terminal
 from tests.extras.console.console_fakes import Here, Page, ask
 
 _BYTES = {"space": " ", "enter": "\r", "f5": "\x1b[15~", "end": "\x1b[F", "home": "\x1b[H", "left": "\x1b[D"}
 
 
 def until(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < deadline, f"it never came: {what}"
         threading.Event().wait(0.005)
 
 
 def answered(reply: Future[Reply]) -> tuple[str, str]:
-    found = reply.result(PATIENCE_S)
+    found = reply.result(WAIT_S)
     return found.action, found.value
 
 
 def watched(desk: Desk) -> StoppedError:
     """Wait until the desk ends a hit, and return the error by which it does so."""
-    watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
+    watch, deadline = desk.watch(), time.monotonic() + WAIT_S
     assert watch is not None
     try:
         while time.monotonic() < deadline:
@@ -203,7 +204,7 @@ class AtPage(Seated):
             raise
 
     def in_loop(self, work: Coroutine[Any, Any, Any]) -> Any:
-        return asyncio.run_coroutine_threadsafe(work, self._loop).result(PATIENCE_S)
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(WAIT_S)
 
     async def receive(self, message: Any) -> bool:
         return self.service.handle_job_message(cast("Job", self.job), message)
@@ -258,7 +259,7 @@ class AtPage(Seated):
     def _end(self) -> None:
         self.in_loop(self._closed())
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(PATIENCE_S)
+        self._thread.join(WAIT_S)
         self._loop.close()
         self.hand.close()
         self._place.cleanup()

@@ -25,8 +25,8 @@ from rig.session.planning._protocol import Keys
 from rig.session.terminal import _child as child
 from rig.session.terminal._pointer import HandKind
 from rig.session.terminal.desk import ConsoleDesk, at_console
-from tests.conformance.started import is_alive
-from tests.conformance.terminal import PATIENCE_S, Program, Terminal
+from tests.conformance.started import WAIT_S, is_alive
+from tests.conformance.terminal import Program, Terminal
 from tests.rig.session.session_desks import PLACES, Place, answered, until, watched
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
@@ -106,7 +106,7 @@ def test_a_pedal_and_no_bell_and_a_question_ends_with_its_desk(sit: Sit, asker: 
     place.sees("and now?")
     place.leave()
     with pytest.raises(StoppedError, match=r"was closed|was lost") as caught:
-        reply.result(PATIENCE_S)
+        reply.result(WAIT_S)
     assert caught.value.remedy
 
 
@@ -233,7 +233,7 @@ def test_an_escape_waits_for_no_silence_and_closing_gives_the_terminal_of_a_stop
 ) -> None:
     """Messages wake the console all the time; the escape key must still time out at its own age."""
     monkeypatch.setattr("rig.session.terminal._child.END_S", 0.05)
-    pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
+    pause, deadline = threading.Event(), time.monotonic() + WAIT_S
     with console(terminal) as (desk, _):
         desk.show(DeskView(state="hold"))
         terminal.wait("hold")
@@ -280,7 +280,7 @@ def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Te
         assert answered(reply) == ("judge", "unstable")
         before = desk.pid
         os.kill(before, signal.SIGKILL)  # in a hit: a new one comes, and the hit continues
-        watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
+        watch, deadline = desk.watch(), time.monotonic() + WAIT_S
         assert watch is not None
         while desk.pid == before and time.monotonic() < deadline:
             watch(0, Phase.TRIAL)
@@ -300,7 +300,7 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
             wait_for_console(terminal, number, "the verdict?")
             os.kill(desk.pid, signal.SIGKILL)
         with pytest.raises(StoppedError, match="failed 2 times") as caught:
-            reply.result(PATIENCE_S)
+            reply.result(WAIT_S)
         assert "resume" in caught.value.remedy
     assert_given_back(terminal)
 
@@ -365,7 +365,7 @@ def test_a_console_whose_session_is_gone_gives_the_terminal_back(terminal: Termi
         terminal.wait("P09", "[1] stable")
         os.kill(started.pid, signal.SIGKILL)
         terminal.wait("rig session resume")
-        pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
+        pause, deadline = threading.Event(), time.monotonic() + WAIT_S
         while is_alive(child) and time.monotonic() < deadline:
             pause.wait(0.005)
         assert_given_back(terminal)
